@@ -1,6 +1,7 @@
 """The automatic choice of method on a parallel mechanism, controllers and films: how far from the best at equal error?
 
-    python benchmarks/automatic_mechanisms.py
+    python benchmarks/automatic_mechanisms.py                   # all cases
+    python benchmarks/automatic_mechanisms.py "Stewart platform, dry with friction"
 
 A Stewart platform of 13 bodies (six legs of cylinder and rod, a PID controller along each, one joint that is not ideal)
 for 0.1 s, and the four-bar with a film and a controlled crank for 0.05 s. A row is a method at a tolerance. The error
@@ -11,6 +12,7 @@ compiled run, the least of three: they hold on a machine that does other work as
 between two tolerances of one method the logarithm of the time is interpolated over that of the error.
 """
 
+import shlex
 import sys
 import time
 import warnings
@@ -102,6 +104,13 @@ def rows_of(case: str, build, body: str, t1: float):
             print(rows[-1], flush=True)
             if outcome is not None and outcome[0] > LONGEST:
                 break
+    return judged(rows, found, chosen)
+
+
+def judged(
+    rows: list[dict], found: dict[str, dict[float, tuple[float, float]]], chosen: dict[float, str]
+) -> list[dict]:
+    """The rows, with the choice at each tolerance and the ratio to the best at equal error."""
     for row in rows:
         rtol = float(row["rtol"])
         row["chosen"] = "yes" if chosen[rtol] == row["method"] else ""
@@ -117,8 +126,7 @@ def main(titles) -> None:
     rows = [row for case, what in CASES.items() if not titles or case in titles for row in rows_of(case, *what)]
     columns = ("case", "rtol", "method", "processor_ms", "steps", "error_m", "chosen", "ratio_at_equal_error")
     rows = [{column: row[column] for column in columns} for row in rows]
-    if not titles:
-        write("automatic_mechanisms", "python benchmarks/automatic_mechanisms.py", rows)
+    write("automatic_mechanisms", shlex.join(["python", "benchmarks/automatic_mechanisms.py", *titles]), rows)
     chosen = [row for row in rows if row["chosen"] and row["ratio_at_equal_error"]]
     worst = max(chosen, key=lambda row: float(row["ratio_at_equal_error"]))
     print(f"worst of the choices: {worst['ratio_at_equal_error']} times the best, {worst['case']} at {worst['rtol']}")

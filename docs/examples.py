@@ -161,7 +161,9 @@ def compare(expected: str, printed: str, where: str) -> None:
         )
 
 
-NUMBER = r"(?<![\w.])[-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?(?![\w]*\d)"
+NUMBER = (
+    r"(?<![\w.])[-+]?(?:\d{1,3}(?:,\d{3})+|\d+)(?:\.\d*)?(?:[eE][-+]?\d+)?(?![\w]*\d)"
+)
 SHOWN_NUMBER = re.compile("~?" + NUMBER)
 
 
@@ -187,6 +189,7 @@ def _plain(text: str) -> str:
 
 def is_rounded(shown: str, printed: str) -> bool:
     """Whether a number on a page is the printed one, rounded to the digits that the page shows."""
+    shown, printed = shown.replace(",", ""), printed.replace(",", "")
     if shown.startswith("~"):
         about, value = abs(float(shown[1:])), abs(float(printed))
         return about / 30 <= value <= 30 * about

@@ -6,6 +6,7 @@ import io
 import os
 import re
 import sys
+import time
 import warnings
 from collections.abc import Sequence
 from functools import partial
@@ -16,13 +17,16 @@ from spherejax import runtime
 from spherejax.command_line import printing
 from spherejax.command_line.advice import in_options
 
+BEGUN = time.perf_counter()
+"""When this process had Python running, and none of the libraries that take long."""
+
 BAD_REQUEST, FAILED_RUN, INTERRUPTED, READER_GONE = 2, 3, 130, 141
 """Exit codes besides 0; the last one is that of a process which the signal SIGPIPE ends."""
 
 DESCRIPTION = """Multibody simulation with ideal, dry, lubricated and bushing spherical joints.
 
 Each command has its own help, e.g. `spherejax run --help`. Exit code 0: done; 2: the request makes no sense;
-3: a run did not reach its end; 130: interrupted.
+3: a run did not reach its end; 130: interrupted; 141: the reader of the output has gone.
 """
 
 EPILOG = """examples:
@@ -67,6 +71,7 @@ def _main(argv: Sequence[str] | None) -> int:
         _print_any_name()
         warnings.formatwarning = _in_one_line
         runtime.set_up()
+    options.begun = BEGUN if argv is None else time.perf_counter()
     with printing.worded(partial(in_options, flags=options.flags)):
         return _run(options, leaves=argv is None)
 

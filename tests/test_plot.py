@@ -23,7 +23,15 @@ from spherejax.output.plot.limits import LimitCurve, limits_to_ideal
 from spherejax.output.plot.panels import Panel, model_histories
 from spherejax.output.plot.phase import phase_portraits
 from spherejax.output.plot.ratios import time_ratios
-from spherejax.output.plot.style import LAW_COLORS, MODEL_COLORS, Picture, new_figure, number_decades, typeset_number
+from spherejax.output.plot.style import (
+    LAW_COLORS,
+    MODEL_COLORS,
+    Picture,
+    legend_below,
+    new_figure,
+    number_decades,
+    typeset_number,
+)
 from spherejax.studies.cases import five_models, limit_studies, parameter_studies
 from spherejax.studies.subject import Comparison, LimitResult, ModelRow, StudyResult
 from spherejax.studies.subjects.four_bar import FOUR_BAR, law_figures
@@ -349,8 +357,19 @@ def test_decades_are_numbered_within_one_too(reach, shown):
     assert not [text for text in said if r"\times" in text or "10^{0}" in text]
 
 
+def test_titles_and_legends_are_no_wider_than_their_figure():
+    figure, axes = new_figure(1, 1, 4.7, 3.0, "What the models change\n" + "a value of a parameter, " * 5)
+    for name in ("ideal", "dry", "dry with friction", "lubricated", "bushing"):
+        axes[0, 0].plot([0, 1], [0, 1], label=name)
+    legend_below(figure, axes[0, 0])
+    figure.canvas.draw()
+    boxes = [figure._suptitle.get_window_extent(), figure.legends[0].get_window_extent()]  # type: ignore[union-attr]
+    assert all(box.x0 >= 0 and box.x1 <= figure.bbox.x1 for box in boxes)
+    assert figure.get_suptitle().startswith("What the models change\na value")
+
+
 def test_a_picture_typesets_its_texts():
-    figure, axes = new_figure(1, 1, 3.0, 2.0, "k = 1e+06 N/m, b = 2.5e-02 s, Rodas5P, v1e6")
+    figure, axes = new_figure(1, 1, 5.0, 2.0, "k = 1e+06 N/m, b = 2.5e-02 s, Rodas5P, v1e6")
     axes[0, 0].plot([0, 1], [0, 1], label="k = 1e5")
     axes[0, 0].legend()
     figure.savefig(BytesIO(), format="png")

@@ -63,6 +63,34 @@ def test_a_velocity_in_the_socket_is_removed_with_a_warning(name):
     assert np.abs(velocity).max() < 1e-12
 
 
+def two_arms(spin):
+    """An arm on a hinge that is described as turning, and one on it, by a dry joint, that is described at rest."""
+    bodies = {
+        "upper": sj.Body.rod(
+            {"top": (0, 0, 0), "end": (0.2, 0, 0)}, radius=0.01, mass=1.0, angular_velocity=(0, spin, 0)
+        ),
+        "lower": sj.Body.rod({"top": (0.2, 0, 0), "end": (0.2, 0, -0.3)}, radius=0.01, mass=1.0),
+    }
+    joints = {
+        "hinge": sj.Revolute(("ground", "upper"), (0, 0, 0), (0, 1, 0)),
+        "elbow": sj.Spherical("upper.end", "lower.top", sj.Dry(1e-4)),
+    }
+    return sj.Scene(bodies, joints)
+
+
+def test_the_speed_that_gives_the_described_start_is_said():
+    """The momentum of a body that is described alone in motion is shared; the projection is linear."""
+    with pytest.warns(
+        sj.StartWarning, match="momentum of 'upper' was shared with them: described .* times as fast"
+    ) as said:
+        _, spins = started(two_arms(3.0))
+    times = float(str(said[0].message).split("described ")[-1].split(" times")[0])
+    assert times == pytest.approx(3.0 / spins[1, 1], rel=1e-3)
+    with pytest.warns(sj.StartWarning, match="elbow"):
+        _, spins = started(two_arms(3.0 * times))
+    assert spins[1, 1] == pytest.approx(3.0, rel=1e-3)
+
+
 @pytest.mark.parametrize("name", MODELS)
 def test_a_velocity_in_the_socket_is_kept_where_the_joint_starts_as_described(name):
     velocity, _ = started(thrown(MODELS[name], starts_concentric=False))

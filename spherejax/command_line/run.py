@@ -145,11 +145,8 @@ def run_scene(options: argparse.Namespace) -> int:
     if not bool(run.succeeded):
         write_report(options, run, title, scene)
     run.require_success()
-    print_table(
-        title,
-        ("quantity", "value"),
-        [*_summary(run, seconds), *_peaks(run, peaks)],
-    )
+    rows = [*_summary(run, seconds), *_peaks(run, peaks)]
+    print_table(title, ("quantity", "value"), [*rows, _waited(options)])
     from spherejax.output.io import save
 
     if options.impacts is not None:
@@ -291,6 +288,11 @@ def _energies(run: sj.Trajectory) -> list[tuple[str, str]]:
     if run.system.tracks_supply:
         rows.insert(0, (f"work put in by drivers and forces [{unit}]", f"{factor * put_in:.6g}"))
     return rows
+
+
+def _waited(options: argparse.Namespace) -> tuple[str, str]:
+    """All that was waited for up to here: libraries, the scene, the run, and the quantities of the table."""
+    return "time since the command began [s]", f"{time.perf_counter() - options.begun:.2f}"
 
 
 def _summary(run: sj.Trajectory, seconds: float) -> list[tuple[str, str]]:

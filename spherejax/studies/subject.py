@@ -177,7 +177,7 @@ def usual_columns(comparison: "Comparison") -> "Sequence[TableColumn]":
     unit, factor = ("mJ", 1e3) if _is_small([row.lost_energy for row in comparison.rows]) else ("J", 1.0)
     gap = f"{1e3 * subject.reference:.2f} mm" if subject.reference >= 1e-5 else f"{1e6 * subject.reference:.3g} um"
     of_rows = {name for row in comparison.rows for name in row.measures}
-    measured = [TableColumn(name, lambda row, name=name: row.measures.get(name)) for name in sorted(of_rows)]
+    measured = [_measured_column(name, unit, factor) for name in sorted(of_rows)]
     return (
         TableColumn(f"energy lost [{unit}]", lambda row: factor * row.lost_energy),
         TableColumn(peak, lambda row: row.peak_acceleration),
@@ -191,6 +191,18 @@ def usual_columns(comparison: "Comparison") -> "Sequence[TableColumn]":
             "determined until [s]", lambda row: row.determined_until, lambda t: "the end" if t is None else f"{t:.3g}"
         ),
     )
+
+
+def _measured_column(name: str, unit: str, factor: float) -> TableColumn:
+    """A column of a measure; an energy is shown in the unit that the lost energy has beside it."""
+    scale = factor if name.endswith(" [J]") else 1.0
+    shown = name.replace(" [J]", f" [{unit}]")
+
+    def value(row):
+        found = row.measures.get(name)
+        return None if found is None else scale * found
+
+    return TableColumn(shown, value)
 
 
 def _is_small(energies: Sequence[float]) -> bool:

@@ -66,6 +66,29 @@ def _largest_speed(velocities: np.ndarray, radius: float) -> float:
     return max(float(linear), radius * float(angular))
 
 
+def _described_alone(system: System, given: np.ndarray, taken: np.ndarray) -> tuple[str, float] | None:
+    """The only body that was described in motion, and the factor by which its start was slowed down; None where several
+    move, where a driver prescribes motions, or where the body starts in another direction.
+
+    The projection is linear, so that velocities times this factor give the start that was described.
+    """
+    moving = np.flatnonzero(np.any(given != 0, axis=1))
+    if len(moving) != 1 or system.is_driven:
+        return None
+    described, start = given[moving[0]], taken[moving[0]]
+    # A crank is described by its spin alone: the velocity of its center follows from the joint.
+    for part in (slice(0, 3), slice(3, 6)):
+        if not np.any(described[part]):
+            described, start = np.delete(described, part), np.delete(start, part)
+    along = float(described @ start)
+    if along <= 0:
+        return None
+    times = float(described @ described) / along
+    if not np.allclose(times * start, described, rtol=0, atol=1e-3 * float(np.linalg.norm(described))):
+        return None
+    return list(system.bodies)[moving[0]], times
+
+
 def _message(system: System, violations: dict[str, np.ndarray], given, taken, radius: float) -> str:
     size_of = {name: float(np.linalg.norm(violation)) for name, violation in violations.items()}
     worst = sorted(size_of, key=lambda name: -size_of[name])
@@ -90,6 +113,13 @@ def _message(system: System, violations: dict[str, np.ndarray], given, taken, ra
     most = int(np.argmax([_largest_speed(change[None], radius) for change in changes]))
     name = list(system.bodies)[most]
     parts.append(f"Body {name!r} starts with {_motion(taken[most])} instead of {_motion(given[most])}")
+    alone = _described_alone(system, given, taken)
+    if alone is not None:
+        body, times = alone
+        parts.append(
+            f"The other bodies were described at rest, and the momentum of {body!r} was shared with them: described "
+            f"{times:.4g} times as fast, it starts as fast as it was described"
+        )
     return ". ".join(parts) + "."
 
 

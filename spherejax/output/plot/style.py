@@ -2,6 +2,7 @@
 
 import os
 import re
+import textwrap
 from collections.abc import Mapping, Sequence
 from io import BytesIO
 from itertools import cycle, islice
@@ -166,11 +167,28 @@ def new_figure(n_rows: int, n_columns: int, width: float, height: float, title: 
         )
     figure = Picture(figsize=(width, height), dpi=RESOLUTION, layout="constrained")
     FigureCanvasAgg(figure)
-    figure.suptitle(title, fontsize=11)
+    figure.suptitle(wrapped(title, width), fontsize=TITLE_SIZE)
     axes = figure.subplots(n_rows, n_columns, squeeze=False)
     for ax in axes.flat:
         dress(ax)
     return figure, axes
+
+
+TITLE_SIZE, LEGEND_SIZE = 11, 8
+"""Sizes of letters [pt]."""
+
+LETTER, HANDLE = 0.56, 46.0
+"""Average width of a letter over its size, and width of a line with its gaps in a legend [pt]."""
+
+
+def wrapped(title: str, width: float) -> str:
+    """A title whose lines are no wider than a figure [inch]; mathematics is taken for as wide as its text."""
+    letters = max(10, int(72 * width / (LETTER * TITLE_SIZE)))
+    return "\n".join(
+        part
+        for line in title.split("\n")
+        for part in textwrap.wrap(line, letters, break_long_words=False, break_on_hyphens=False) or [""]
+    )
 
 
 def dress(ax: Axes) -> None:
@@ -289,4 +307,6 @@ def legend_under(ax: Axes, *, n_columns: int = 2, gap: float = 0.16) -> None:
 def legend_below(figure: Figure, ax: Axes) -> None:
     """One legend for the whole figure, below its panels, where it covers nothing."""
     handles, labels = ax.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=min(len(labels), 5), fontsize=8, frameon=False)
+    widest = (max(map(len, labels), default=0) * LETTER * LEGEND_SIZE + HANDLE) / 72
+    n_columns = max(1, min(len(labels), 5, int(figure.get_figwidth() / widest)))
+    figure.legend(handles, labels, loc="outside lower center", ncols=n_columns, fontsize=LEGEND_SIZE, frameon=False)

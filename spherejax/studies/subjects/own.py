@@ -289,7 +289,7 @@ def _difference(comparison: Comparison):
     apart = {name: one.position - ideal.position for name, one in comparison.models.items() if name != subject.ideal}
     forces = {name: np.linalg.norm(run.reaction(subject.joint), axis=1) for name, run in comparison.runs.items()}
     what = f"{ideal.body} {f'angle about {ideal.axis[-1]}' if ideal.turns else ideal.axis}"
-    unit, factor = ("mrad", 1e3) if ideal.turns else ("um", 1e6)
+    unit, factor = ("mrad", 1e3) if ideal.turns else ("µm", 1e6)
     peak = max(float(np.nanpercentile(force, 99.0)) for force in forces.values())
     panels = [
         Panel("difference from the ideal joint", f"{what} [{unit}]", ideal.ts,
