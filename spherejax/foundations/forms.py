@@ -55,7 +55,7 @@ class _Given(NamedTuple):
     remedy: str
 
 
-def misformed(part: Any, path: str = "") -> Iterator[Requirement]:
+def malformed(part: Any, path: str = "") -> Iterator[Requirement]:
     """Requirements, all of them violated, for fields of an object, and of objects in it, that have another form.
 
     Args:
@@ -77,7 +77,7 @@ def of_form(name: str, value: Any, annotation: Any) -> Iterator[Requirement]:
     # By its bases: `issubclass` asks all modules that there are, which takes a tenth of a second.
     families = tuple(one for one in options if inspect.isclass(one) and eqx.Module in one.__mro__)
     if families and isinstance(value, families):
-        yield from misformed(value, f"{name}.")
+        yield from malformed(value, f"{name}.")
         return
     shapes = _shapes_in(options)
     if shapes:

@@ -9,7 +9,7 @@ import numpy as np
 
 from spherejax.foundations.checks import Requirement, called, enforce, shown
 from spherejax.foundations.errors import SceneError
-from spherejax.foundations.forms import mapping_of, misformed, of_form
+from spherejax.foundations.forms import malformed, mapping_of, of_form
 from spherejax.foundations.types import Numeric, Triple
 from spherejax.model.drift import AbstractDriftControl, PostStabilization
 from spherejax.physics.bodies import GROUND, Body, numbers
@@ -161,7 +161,7 @@ def _check_forms(scene: Scene, parts: Iterable[_Part]) -> None:
         family, example = _KINDS[kind]
         if not isinstance(part, family):
             raise SceneError(f"{kind} {name!r} = {shown(part)} is no {kind}; give an object, e.g. {example}")
-        enforce(f"{kind} {name!r}", misformed(part))
+        enforce(f"{kind} {name!r}", malformed(part))
     for name in ("gravity", "ground_points"):
         enforce("scene", of_form(name, getattr(scene, name), type(scene).__annotations__[name]))
 

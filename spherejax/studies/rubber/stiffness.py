@@ -13,7 +13,7 @@ from jaxtyping import Array, Complex, Float
 
 from spherejax.foundations.checks import enforce, is_concrete
 from spherejax.foundations.errors import SceneError
-from spherejax.foundations.forms import misformed, shape_of
+from spherejax.foundations.forms import malformed, shape_of
 from spherejax.foundations.types import Number, Numeric
 from spherejax.output.io import save
 from spherejax.output.paths import writable
@@ -180,7 +180,7 @@ def checked(model: Any, rotation: bool) -> tuple[Bushing, list]:
         raise SceneError(
             f"dynamic_stiffness: {type(model).__name__} has no dynamic stiffness; give a Bushing, or an elastomer"
         )
-    enforce("dynamic_stiffness", misformed(bushing))
+    enforce("dynamic_stiffness", malformed(bushing))
     conditions = enforce("dynamic_stiffness", bushing.requirements())
     if rotation and not bushing.law.resists_rotation:
         law = type(bushing.law).__name__
