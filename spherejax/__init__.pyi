@@ -176,6 +176,7 @@ from .studies.fit import (
     fit,
 )
 from .studies.linear import Linearization, LinearizationWarning, Modes, linearize
+from .studies.model_choice import Candidate, ModelComparison, ModelEvidence, compare_models
 from .studies.rig import Corner, Rig, RigStatus, RigWarning, Vehicle, WheelLoads, rig, rig_samples
 from .studies.roads import load_road
 from .studies.rubber import DynamicStiffness, StiffnessFit, dynamic_stiffness, fit_stiffness
@@ -245,6 +246,7 @@ __all__ = [
     "Bump",
     "BumpStop",
     "Bushing",
+    "Candidate",
     "Cauchy",
     "Circle",
     "Comparison",
@@ -312,6 +314,8 @@ __all__ = [
     "Measured",
     "MemoryEntry",
     "Mode",
+    "ModelComparison",
+    "ModelEvidence",
     "ModelRow",
     "Modes",
     "MotionState",
@@ -422,6 +426,7 @@ __all__ = [
     "animate",
     "cite",
     "compare",
+    "compare_models",
     "compile_scene",
     "constraint_report",
     "continuation",

@@ -122,7 +122,7 @@ def correlated_errors(
     if n <= k or not np.all(np.isfinite(errors)) or not np.all(np.isfinite(jacobian)):
         return None
     basis = _basis(jacobian)
-    processes = [_process_of(errors[channel.rows]) for channel in channels]
+    processes = [process_of(errors[channel.rows]) for channel in channels]
     processes = _corrected(errors, basis, channels, processes)
     processes = [
         process if process.factors.size or not is_known else Process(process.factors, variance) for process in processes
@@ -160,7 +160,7 @@ def _basis(jacobian: np.ndarray) -> np.ndarray:
     return left[:, singular > (singular[0] if singular.size else 0.0) * max(jacobian.shape) * np.finfo(float).eps]
 
 
-def _process_of(errors: np.ndarray) -> Process:
+def process_of(errors: np.ndarray) -> Process:
     """The process of the order with the smallest information criterion, by Burg's method."""
     n = errors.size
     power = float(errors @ errors) / max(n, 1)

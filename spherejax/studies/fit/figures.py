@@ -23,7 +23,7 @@ def figures_of(fit, title: str = "") -> "dict[str, Figure]":
     if not fit.best.us:
         raise SceneError(f"there is nothing to draw: {fit.diagnosis}")
     title = title or f"Fit of {', '.join(fit.names)}"
-    components = _components(fit.problem, fit.tables, fit.noise)
+    components = components_of(fit.problem, fit.tables, fit.noise)
     drawn = {
         "fit": fit_figure(components, f"{title}: measurements and model"),
         "residuals": residuals_figure(components, f"{title}: residuals"),
@@ -31,7 +31,7 @@ def figures_of(fit, title: str = "") -> "dict[str, Figure]":
     }
     if fit.validation is not None:
         problem = fit.validation.problem
-        predicted = _components(problem, fit.validation.tables, problem.noise)
+        predicted = components_of(problem, fit.validation.tables, problem.noise)
         drawn["validation"] = fit_figure(predicted, f"{title}: prediction of records that were not fitted")
     if len(fit.names) > 1:
         drawn["correlation"] = correlation_figure(fit.correlation, fit.names, f"{title}: correlations")
@@ -50,7 +50,7 @@ def _n_until(fit, end: float) -> int:
     return max(sum(int(np.sum(each.is_measured[each.measured.ts <= end])) for each in experiments), 1)
 
 
-def _components(problem, tables, noise) -> list:
+def components_of(problem, tables, noise) -> list:
     """Measured components of all experiments of a problem.
 
     Args:

@@ -104,7 +104,7 @@ def fit(
     """
     began = time.monotonic()
     method = LevenbergMarquardt() if method is None else method
-    experiments = _with_sensors(experiments_from(measured, columns), sensors)
+    experiments = experiments_with_sensors(experiments_from(measured, columns), sensors)
     problem = problem_of(
         build, start, experiments, noise, rtol=rtol, atol=atol, solver=solver, max_steps=max_steps, loss=loss
     )
@@ -112,7 +112,9 @@ def fit(
     if validate is not None:
         records = [
             one.named(f"validation {i + 1}")
-            for i, one in enumerate(_with_sensors(experiments_from(validate, columns), sensors, is_strict=False))
+            for i, one in enumerate(
+                experiments_with_sensors(experiments_from(validate, columns), sensors, is_strict=False)
+            )
         ]
         n_samples = max(one.measured.ts.size for one in problem.experiments)
         held_out = problem_of(
@@ -122,7 +124,7 @@ def fit(
     us = _starts(problem, starts, rng)
     with interrupts_kept(), reporting(progress, problem, method.max_iterations) as report:
         watch = FitWatch(report, problem, method.max_iterations)
-        problem, courses = _minimized(problem, method, horizon or Grown(), us, watch)
+        problem, courses = minimized(problem, method, horizon or Grown(), us, watch)
         fitted = Fit(problem, courses, level, determined_within, time.monotonic() - began, build)
         if held_out is None or not fitted.best.us or fitted.best.ending is Ending.INTERRUPTED:
             return fitted
@@ -130,7 +132,7 @@ def fit(
     return replace(fitted, validation=validation, seconds=time.monotonic() - began)
 
 
-def _with_sensors(
+def experiments_with_sensors(
     experiments: list[Measured], sensors: Mapping[str, Sensor] | None, *, is_strict: bool = True
 ) -> list[Measured]:
     """Experiments with the sensors of the fit, where they have none of their own.
@@ -150,7 +152,7 @@ def _with_sensors(
     ]
 
 
-def _minimized(problem: Problem, method: Method, horizon: Horizon, us, watch) -> tuple[Problem, list[Course]]:
+def minimized(problem: Problem, method: Method, horizon: Horizon, us, watch) -> tuple[Problem, list[Course]]:
     """Minimise; where the noise is not known, weigh the observables by their residuals and minimise again."""
     is_known = problem.noise_is_known
     courses = horizon.minimize(problem, method, us, noise_is_known=is_known, watch=watch)
