@@ -161,18 +161,23 @@ def confusion(rows):
         yield table
 
 
+def seed_of(row: dict[str, Any]) -> int:
+    return int(row["seed"])
+
+
 def main() -> None:
     n = int(sys.argv[1]) if len(sys.argv) > 1 else 200
     first = int(sys.argv[2]) if len(sys.argv) > 2 else 0
     rows: list[dict[str, Any]] = known_rows()
-    done = {int(row["seed"]) for row in rows}
+    done = {seed_of(row) for row in rows}
     for seed in range(first, n):
         if seed not in done:
             rows.append(decision(seed))
             right = sum(int(row["is_right"]) for row in rows)
-            print(f"{len(rows)} decisions, {right} right; {rows[-1]}", flush=True)
+            print(f"{len(rows)} decisions, {right} right; the last: {rows[-1]}", flush=True)
             with contextlib.redirect_stdout(None):
-                write(NAME, COMMAND, sorted(rows, key=lambda row: int(row["seed"])))
+                rows.sort(key=seed_of)
+                write(NAME, COMMAND, rows)
     write(f"{NAME}_confusion", COMMAND, list(confusion(rows)))
 
 

@@ -30,6 +30,7 @@ SLOW = (
     "howto/swap_models.md",
     "howto/sweep.md",
     "howto/tolerances.md",
+    "howto/which_joint.md",
     "concepts/wear.md",
     "howto/report.md",
     "concepts/linearization.md",
