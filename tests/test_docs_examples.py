@@ -135,6 +135,8 @@ def test_a_failing_example_is_reported(text, message, tmp_path, monkeypatch, cap
         ("FMI 3.0 of arm2", "FMI 3.0 of arm2", True),
         ("FMI 3.0 of arm2", "FMI 3.0 of arm3", False),
         ("first\n...\nlast", "first\nsecond\nlast", True),
+        ("9994... to 0.0010069... and ...e-16", "99941.2 to 0.00100691 and 2.2e-16", True),
+        ("9994... N", "9984.1 N", False),
     ],
 )
 def test_numbers_on_a_page_are_the_printed_ones_rounded(shown, printed, is_right):
