@@ -175,6 +175,7 @@ def parser() -> argparse.ArgumentParser:
     from spherejax.command_line.effects import add_effects
     from spherejax.command_line.export import add_export
     from spherejax.command_line.fit import add_fit
+    from spherejax.command_line.identify import add_identify
     from spherejax.command_line.modes import add_modes
     from spherejax.command_line.rig import add_rig
     from spherejax.command_line.run import add_run
@@ -196,6 +197,7 @@ def parser() -> argparse.ArgumentParser:
         add_accuracy,
         add_sweep,
         add_fit,
+        add_identify,
         add_sensitivity,
         add_tolerances,
         add_modes,

@@ -41,6 +41,7 @@ COMMANDS = (
     "accuracy",
     "sweep",
     "fit",
+    "identify",
     "sensitivity",
     "tolerances",
     "modes",
@@ -322,11 +323,11 @@ def test_a_number_that_is_varied_may_have_a_unit(given, meant):
 
 
 def test_where_a_fit_begins_and_what_is_changed_may_have_units(capsys):
-    from spherejax.command_line.fit import _starts
     from spherejax.command_line.sensitivity import _parameters
+    from spherejax.command_line.unknowns import starts_of
 
     words = ["fit", "four-bar", "--joint", "bushing", "--measured", "x.csv", "--start"]
-    start = _starts(cli.parser().parse_args([*words, "stiffness=10 kN/m:1 kN/m:1e7", "--start", "rocker.mass=20 g"]))
+    start = starts_of(cli.parser().parse_args([*words, "stiffness=10 kN/m:1 kN/m:1e7", "--start", "rocker.mass=20 g"]))
     assert (start["stiffness"].parameter.lower, start["stiffness"].start, start["rocker.mass"].start) == (
         1e3,
         1e4,

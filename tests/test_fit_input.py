@@ -253,12 +253,12 @@ def test_command_refuses_what_makes_no_sense(tmp_path, capsys, words, message):
 def test_the_four_bars_bushing_is_named_by_its_options():
     """What the README shows, up to where it is computed: names of options are parameters."""
     from spherejax.cli import parser
-    from spherejax.command_line.fit import _builder, _starts, _with_starts
     from spherejax.command_line.scenes import chosen
+    from spherejax.command_line.unknowns import builder_of, starts_of, with_starts
 
     words = ["fit", "four-bar", "--joint", "bushing", "--measured", "x.csv", "--start", "stiffness=1e4"]
     options = parser().parse_args([*words, "--start", "damping=1e-2"])
-    build = _builder(chosen(_with_starts(options, _starts(options))), options)
+    build = builder_of(chosen(with_starts(options, starts_of(options))), options)
     assert build(stiffness=3.0, damping=2.0).joints["coupler_rocker"].model.law.stiffness == 3.0
     assert fitting.bushing_four_bar(3.0, 2.0).joints["coupler_rocker"].model.law.damping == 2.0
 

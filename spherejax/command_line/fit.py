@@ -10,13 +10,15 @@ import numpy as np
 
 import spherejax as sj
 from spherejax.command_line.catalog import SOLVERS
-from spherejax.command_line.models import USED_BY, add_joint_options
-from spherejax.command_line.numbers import measured_in, number_of, real, whole
+from spherejax.command_line.measurements import add_measurements, measured_from, noise_of
+from spherejax.command_line.models import add_joint_options
+from spherejax.command_line.numbers import real, whole
 from spherejax.command_line.printing import print_table, say
 from spherejax.command_line.reports import add_report, check_report, write_report
-from spherejax.command_line.scene_numbers import UnitOf, number_at, unit_of_option, units_in, with_number
-from spherejax.command_line.scenes import Chosen, add_scene, chosen
+from spherejax.command_line.scene_numbers import UnitOf, units_in
+from spherejax.command_line.scenes import add_scene, chosen
 from spherejax.command_line.shown import ShownNumbers, shown_in
+from spherejax.command_line.unknowns import builder_of, own_numbers, starts_of, with_starts
 
 DESCRIPTION = """\
 Estimate numbers of a mechanism from measurements of its motion, by Levenberg-Marquardt on
@@ -53,38 +55,7 @@ def add_fit(commands) -> None:
     )
     add_scene(parser)
     add_joint_options(parser)
-    given = parser.add_argument_group("what was measured")
-    given.add_argument(
-        "--measured",
-        action="append",
-        required=True,
-        metavar="FILE",
-        help="table (.csv) or netCDF file (.nc); may be repeated: several experiments with the same mechanism",
-    )
-    given.add_argument(
-        "--validate",
-        action="append",
-        default=[],
-        metavar="FILE",
-        help="table or netCDF file that is not fitted but predicted: how large the errors are, against the noise and "
-        "the residuals; may be repeated",
-    )
-    given.add_argument(
-        "--noise",
-        action="append",
-        metavar="[NAME=]SIGMA",
-        help='standard deviation of the errors, of all columns or of one, in SI units or as "2 um" (default: from the '
-        "residuals)",
-    )
-    given.add_argument(
-        "--column",
-        action="append",
-        default=[],
-        metavar="OWN=QUANTITY",
-        help='what a column of the file is, where it has a name of its own: "height=position.rocker.z [mm]"; others '
-        "are left out; may be repeated",
-    )
-    given.add_argument("--t0", type=measured_in("s"), metavar="S", help="when the motion starts [s] (default: 0)")
+    add_measurements(parser)
     wanted = parser.add_argument_group("what is fitted")
     wanted.add_argument(
         "--start",
@@ -121,26 +92,26 @@ def fit_scene(options: argparse.Namespace) -> int:
     if folder is not None:
         require_free(folder / FILES[0], overwrite=options.overwrite)
     check_report(options)
-    asked = _starts(options)
-    found = chosen(_with_starts(options, asked))
-    scene = found.scene(_with_starts(options, asked))
-    own = _own_numbers(found, scene, asked)
+    asked = starts_of(options)
+    found = chosen(with_starts(options, asked))
+    scene = found.scene(with_starts(options, asked))
+    own = own_numbers(found, scene, asked)
     unit_of = units_in(scene, found.studied)
-    asked = _starts(options, unit_of)  # a unit of another dimension is refused
+    asked = starts_of(options, unit_of)  # a unit of another dimension is refused
     from spherejax.studies.fit import Ending, Whole  # it takes long: names and units have been judged
 
     start = {name: sj.Parameter(own[name]) if begin is None else begin.parameter for name, begin in asked.items()}
     measured, held_out = (
-        [_measured(path, options) for path in paths] for paths in (options.measured, options.validate)
+        [measured_from(path, options) for path in paths] for paths in (options.measured, options.validate)
     )
     if folder is not None:
         make_folder(folder)
     fitted = sj.fit(
-        _builder(found, options),
+        builder_of(found, options),
         start,
         measured,
         validate=held_out or None,
-        noise=_noise(options, scene, [*measured, *held_out]),
+        noise=noise_of(options, scene, [*measured, *held_out]),
         loss=LOSSES[options.loss]() if options.loss else None,
         method=sj.LevenbergMarquardt(max_iterations=options.max_iterations),
         starts=options.starts,
@@ -175,131 +146,10 @@ class _InUnits(NamedTuple):
         return page_of(self.fitted, title, scene, self.shown)
 
 
-class Begin(NamedTuple):
-    """What `--start` says of a parameter, in SI units; as `sj.Parameter`, which takes long to import."""
-
-    start: float
-    bounds: tuple[float, ...] = ()
-
-    @property
-    def parameter(self) -> sj.Parameter:
-        """For the fit."""
-        return sj.Parameter(self.start, **dict(zip(("lower", "upper"), self.bounds, strict=False)))
-
-
-def _starts(options: argparse.Namespace, unit_of: UnitOf = unit_of_option) -> dict[str, Begin | None]:
-    """Parameters by name; None where the scene's own number is meant."""
-    start: dict[str, Begin | None] = {}
-    for text in options.start:
-        name, equals, given = text.partition("=")
-        if name in start:
-            raise sj.SceneError(f"--start {name} is given twice")
-        if not equals:
-            start[name] = None
-            continue
-        parts = given.split(":")
-        if not name or len(parts) not in (1, 3):
-            raise sj.SceneError(f"--start {text}: write NAME=VALUE or NAME=VALUE:LOW:HIGH, e.g. stiffness=1e4:1e3:1e7")
-        numbers = [number_of("--start", text, part, unit_of(name)) for part in parts]
-        start[name] = Begin(numbers[0], tuple(numbers[1:]))
-    return start
-
-
 def _shown(options: argparse.Namespace, unit_of: UnitOf) -> dict[str, ShownNumbers]:
     """In which units the parameters are told."""
     given = (text.partition("=") for text in options.start)
     return {name: shown_in(texts.split(":"), unit_of(name)) for name, _, texts in given}
-
-
-def _with_starts(options: argparse.Namespace, start: dict[str, Begin | None]) -> argparse.Namespace:
-    """Options of the studied joint with the starts in their place."""
-    of_joint = {}
-    for name, parameter in start.items():
-        key = name.replace("-", "_")
-        if key not in USED_BY:
-            continue
-        if getattr(options, key) is not None:
-            raise sj.SceneError(f"--{name} is given, and fitted as well; leave one out")
-        if parameter is None:
-            raise sj.SceneError(f"--start {name}: write {name}=VALUE")
-        of_joint[key] = parameter.start
-    return argparse.Namespace(**{**vars(options), **of_joint})
-
-
-def _own_numbers(found: Chosen, scene: sj.Scene, start: dict[str, Begin | None]) -> dict[str, Any]:
-    """The scene's own numbers, by the paths that are fitted; a wrong path is refused."""
-    own = {}
-    for name, begin in start.items():
-        if name.replace("-", "_") in USED_BY:
-            continue
-        try:
-            own[name] = number_at(scene, name, found.studied)
-        except sj.SceneError as error:
-            raise sj.SceneError(f"--start {error}") from None
-        if begin is not None and own[name].ndim:
-            raise sj.SceneError(f"--start {name}: it is an array of shape {own[name].shape}; give the name alone")
-    return own
-
-
-def _builder(found: Chosen, options: argparse.Namespace):
-    """A function from the parameters to the scene."""
-
-    def build(**values) -> sj.Scene:
-        of_joint = {name.replace("-", "_"): v for name, v in values.items() if name.replace("-", "_") in USED_BY}
-        scene = found.scene(argparse.Namespace(**{**vars(options), **of_joint}))
-        for name, value in values.items():
-            if name.replace("-", "_") not in of_joint:
-                scene = with_number(scene, name, value, found.studied)
-        return scene
-
-    return build
-
-
-def _measured(path: str, options: argparse.Namespace) -> sj.Measured:
-    from spherejax.studies.fit.reading import from_file
-
-    read = from_file(Path(path).expanduser(), _columns(options))
-    if options.t0 is None:
-        return read
-    return sj.Measured(read.ts, read.values, name=read.name, t0=options.t0, shown_in=read.shown_in)
-
-
-def _columns(options: argparse.Namespace) -> dict[str, str] | None:
-    """Observables by the names that the file has for them."""
-    columns = {}
-    for text in options.column:
-        own, equals, observable = text.rpartition("=")
-        if not equals or not own.strip() or not observable.strip():
-            raise sj.SceneError(f"--column {text}: write OWN=QUANTITY, e.g. 'height=position.rocker.z [mm]'")
-        columns[own.strip()] = observable.strip()
-    return columns or None
-
-
-def _noise(options: argparse.Namespace, scene: sj.Scene, measured: list[sj.Measured]) -> Any:
-    """Standard deviations in SI units; a unit must be one of what was measured."""
-    if options.noise is None:
-        return None
-    if len(options.noise) == 1 and "=" not in options.noise[0]:
-        text = options.noise[0]
-        return {name: _deviation(text, text, name, scene) for each in measured for name in each.values}
-    noise = {}
-    for text in options.noise:
-        name, equals, sigma = (part.strip() for part in text.partition("="))
-        if not equals:
-            raise sj.SceneError(f"--noise {text}: give one number for all columns, or NAME=SIGMA for each")
-        noise[name] = _deviation(text, sigma, name, scene)
-    return noise
-
-
-def _deviation(text: str, sigma: str, name: str, scene: sj.Scene) -> float:
-    """One of them; the fit itself refuses an unknown name, because it knows all that was measured."""
-    from spherejax.motion.equations.quantities import quantity
-
-    try:
-        unit = quantity(name, sj.compile_scene(scene).system).unit
-    except sj.SceneError:
-        unit = ""
-    return number_of("--noise", text, sigma, unit)
 
 
 def _print(fitted: sj.Fit, shown: dict[str, ShownNumbers]) -> None:

@@ -46,7 +46,8 @@ class FixedBuild:
         self.build = build
         own = inspect.signature(build).parameters.values()
         idle = inspect.Parameter(FIXED, inspect.Parameter.KEYWORD_ONLY)
-        self.__signature__ = inspect.Signature([*own, idle])
+        # What takes keywords of any name stands last.
+        self.__signature__ = inspect.Signature(sorted([*own, idle], key=lambda one: one.kind))
 
     def __call__(self, *, nothing: Any, **own: Any) -> Scene:
         """The scene; `own` is what a record has for itself."""
