@@ -17,7 +17,8 @@ from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for
 from spherejax.motion.integration.implicit_rows import solver_of_rows
 from spherejax.motion.integration.integrate import Parameters, as_ideal
-from spherejax.motion.integration.sensitivity_rows import RowParameters, linearized
+from spherejax.motion.integration.jobs import RunNumbers
+from spherejax.motion.integration.sensitivity_rows import linearized
 from spherejax.motion.solvers.implicit import systems_of, with_structure
 from spherejax.motion.start.assembly import assemble_now
 
@@ -276,7 +277,7 @@ def step_of(method, name, n_rows):
             value, slopes = linearized(lambda theta: Parameters(theta, rate.ahead(theta)), theta, theta_dot)
             rows = jnp.concatenate([y[None], y_dot])
             solver = solver_of_rows(method(), structure, rate)
-            parameters = RowParameters(value, slopes, None)
+            parameters = RunNumbers(value, slopes, None, None)
             found = solver.step(term, t0, t0 + h, rows, parameters, None, jnp.array(False))
         return found[0], found[1], found[2]["bends"]
 

@@ -132,7 +132,7 @@ def test_random_numbers_come_from_a_number_a_generator_or_anew():
 def test_no_public_function_has_a_seed():
     calls = [getattr(sj, name) for name in sj.__all__ if name != "RandomRoad"]  # whose seed is a number of the scene
     with_rng = [call for call in calls if callable(call) and "rng" in _arguments(call)]
-    assert len(with_rng) == 9
+    assert len(with_rng) == 10
     assert not [call for call in calls if callable(call) and "seed" in _arguments(call)]
     with pytest.warns(DeprecationWarning, match="seed= is called rng="):
         assert sj.GrowingHorizon(seed=3) == sj.GrowingHorizon(rng=3)
