@@ -369,6 +369,7 @@ def test_adjoints_of_diffrax_are_refused(make):
         jax.grad(lambda start: end_states((1e6, start, 1.0, 1.0), [0.5], make=make, adjoint=adjoint)[0, 0])(0.0)
 
 
+@pytest.mark.slow
 def test_an_implicit_method_of_diffrax():
     """Its steps end short of the touch, and begin behind it, as all do."""
     for stiffness in (1e4, 1e6, 1e8):

@@ -173,6 +173,7 @@ def test_what_cannot_be_repeated_says_so():
         run.impacts("joint")
 
 
+@pytest.mark.slow
 def test_impacts_by_an_implicit_method():
     scene = cases.ball_in_socket(sj.Dry(clearance=1e-4), 0.2, velocity=(0.1, 0.02, 0.0))
     ts = jnp.array([0.0, 2e-3, 4e-3])

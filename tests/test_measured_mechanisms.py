@@ -101,6 +101,7 @@ def test_the_drive_follows_its_reference_and_shows_its_friction():
     assert abs(position - (0.1 * 0.8 - 0.005 - lag)) < 1e-8
 
 
+@pytest.mark.slow
 def test_a_table_of_friction_against_speed_is_felt_in_the_drive():
     """Beside the dry friction, the table's value at the speed, in both directions."""
     for direction in (1.0, -1.0):
@@ -111,6 +112,7 @@ def test_a_table_of_friction_against_speed_is_felt_in_the_drive():
         assert abs(voltage * emps.FORCE / (20.0 + 18.0) - direction) < 1e-6
 
 
+@pytest.mark.slow
 def test_the_driven_double_pendulum_is_that_of_its_three_equations():
     """Lagrange's equations of both links and of the elbow's rotor behind its gear, the shoulder's by its ratio."""
     numbers = driven.PUBLISHED
@@ -138,6 +140,7 @@ def test_the_driven_double_pendulum_is_that_of_its_three_equations():
     assert np.max(np.abs(angles - reference.y[:2].T)) < 2e-5
 
 
+@pytest.mark.slow
 def test_least_squares_by_differences_counts_its_runs_and_finds_the_friction():
     times = np.arange(0.0, 2.0, 0.01)
 
