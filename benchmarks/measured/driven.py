@@ -238,7 +238,7 @@ def _figure(swings, shown):
                 prediction = values + shown[model, name][angle]
                 panel.plot(swing.times, prediction, color=color, linewidth=1, label=f"predicted, {model}")
             panel.set_title(f"{title}, record {name[-6:]}: angle [rad]", loc="left", fontsize=10)
-    panels[0][0].legend(loc="upper right", fontsize=8)
+    figure.legend(*panels[0][0].get_legend_handles_labels(), loc="outside upper center", ncols=3, fontsize=8)
     for panel in panels[1]:
         panel.set(xlabel="t [s]")
     return figure
