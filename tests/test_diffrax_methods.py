@@ -153,6 +153,25 @@ def test_an_implicit_method_in_half_steps():
     np.testing.assert_allclose(run.position("ball"), sj.simulate(scene_of(1e4), TS).position("ball"), atol=1e-7)
 
 
+def test_steps_that_are_given_serve_an_adjoint_of_diffrax_too():
+    steps = diffrax.StepTo(ts=jnp.linspace(0.0, 0.2, 201))
+
+    def height(speed, **how):
+        scene = ball_in_socket(sj.Bushing(10.0, 0.01), velocity=(speed, 0.0, 0.05))
+        return sj.simulate(scene, TS, stepsize_controller=steps, **how).position("ball")[-1, 0]
+
+    adjoint = {"adjoint": diffrax.RecursiveCheckpointAdjoint(), "max_steps": 1000}
+    assert jax.grad(lambda v: height(v, **adjoint))(0.1) == pytest.approx(float(jax.grad(height)(0.1)), rel=1e-6)
+
+
+def test_sweeps_and_steps_by_hand_refuse_them_too():
+    for solver, said in ((diffrax.KenCarp4(), "sums of terms"), (diffrax.Euler(), "estimates no error")):
+        with pytest.raises(sj.SceneError, match=said):
+            sj.sweep(scene_of, {"stiffness": [1e4]}, TS, record=["final position.ball"], solver=solver, progress=False)
+        with pytest.raises(sj.SceneError, match=said):
+            sj.start(scene_of(), solver=solver)
+
+
 def test_a_root_finder_of_ones_own_stays():
     newton = diffrax.Kvaerno3(root_finder=optimistix.Newton(rtol=1e-9, atol=1e-9))
     run = sj.simulate(scene_of(1e4), TS, rtol=1e-6, solver=newton)

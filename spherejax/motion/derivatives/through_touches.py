@@ -34,7 +34,7 @@ UNSURE_BY_ROSENBROCK = (
 
 
 def warn_of_rosenbrock(names: Iterable[str], solver: diffrax.AbstractSolver, stacklevel: int = 2) -> None:
-    """Give a `SimulationWarning` where a Rosenbrock method differentiates a run with abrupt contacts.
+    """Give a `SimulationWarning` where a method that is not explicit differentiates a run with abrupt contacts.
 
     Args:
         names: of these contacts; see `abrupt_contacts`.
@@ -59,7 +59,7 @@ def check_derivatives(system: System, solver: diffrax.AbstractSolver) -> None:
         SceneError: for a force that jumps at its touch.
 
     Warns:
-        SimulationWarning: for a Rosenbrock method and abrupt contacts.
+        SimulationWarning: for a method that is not explicit and abrupt contacts.
     """
     any_jump(system)
     warn_of_rosenbrock(abrupt_contacts(system), solver, 3)

@@ -46,7 +46,7 @@ from spherejax.motion.integration.sensitivity_rows import (
 from spherejax.motion.integration.statistics import Statistics
 from spherejax.motion.integration.status import Status, start_status
 from spherejax.motion.integration.unseen import unseen_of
-from spherejax.motion.solvers.diagonally_implicit import in_structure
+from spherejax.motion.solvers.diagonally_implicit import with_structured_stages
 from spherejax.motion.solvers.implicit import with_structure
 from spherejax.motion.solvers.kinks import OverKinks
 from spherejax.motion.solvers.landing import ContactFunctions
@@ -155,7 +155,7 @@ class JobKind:
             relative, absolute = (getattr(controller, name, None) for name in ("rtol", "atol"))
             return None if relative is None or absolute is None else (relative, absolute)
 
-        solver = in_structure(eqx.combine(arrays, self.solver), self.structure, rate, tolerances_of)
+        solver = with_structured_stages(eqx.combine(arrays, self.solver), self.structure, rate, tolerances_of)
         problem = LaneProblem(
             with_structure(solver, self.structure),
             controller_of,

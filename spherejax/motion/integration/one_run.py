@@ -46,7 +46,6 @@ from spherejax.motion.integration.lanes.windows import (
 )
 from spherejax.motion.integration.row_blocks import as_numbers, placed_rows
 from spherejax.motion.integration.widths import block_for
-from spherejax.motion.solvers.given_steps import GivenSteps
 from spherejax.motion.solvers.joint_rates import fastest_in_clearance
 from spherejax.motion.solvers.rosenbrock import Ros34PW2
 from spherejax.motion.solvers.traits import is_explicit
@@ -70,8 +69,6 @@ def _rest(controller) -> Any:
 
 def _numbers_apart(controller: Any) -> Any:
     """A controller whose tolerances and times are arrays: other ones need no other program."""
-    if isinstance(controller, diffrax.StepTo):
-        return GivenSteps(controller.ts)
     numbers = [name for name in ("rtol", "atol") if isinstance(getattr(controller, name, None), int | float)]
     if type(controller) is diffrax.PIDController and numbers:
         values = [jnp.asarray(getattr(controller, name), jnp.float64) for name in numbers]

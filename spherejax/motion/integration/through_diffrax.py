@@ -129,17 +129,14 @@ def integrate_through_diffrax(
         max_steps=options.max_steps,
         throw=False,
     )
-    (ys, last), (_, reached) = _both(solution.ys), _both(solution.ts)
-    reached, last = reached[0], jax.lax.stop_gradient(last[0])
-    ys = _reached(ys, (ts <= reached) & may_run)
+    saved: Any = solution.ys  # at the sample times, and at the end
+    times: Any = solution.ts
+    reached, last = times[1][0], jax.lax.stop_gradient(saved[1][0])
+    ys = _reached(saved[0], (ts <= reached) & may_run)
     are_finite = jnp.all(jnp.isfinite(jax.lax.stop_gradient(ys))) & jnp.all(jnp.isfinite(last))
     status = jnp.where(may_run, status_of(solution.result), began)
     status = end_status(status, reached, ts[-1], are_finite)
     return Outcome(ys, reached, last, status, _statistics(solution, options.solver), assembly)
-
-
-def _both(pair: Any) -> tuple[Array, Array]:
-    return pair[0], pair[1]
 
 
 def _stepping(plan: Plan, options: Options, adjoint: diffrax.AbstractAdjoint) -> Any:

@@ -18,16 +18,16 @@ CONSTANT_STEPS = (
 )
 
 
-def check_methods(solver: Any, controller: Any, adjoint: Any, ts: Any) -> None:
-    """Raise `SceneError` for what cannot integrate a mechanism.
+def check_solver(solver: Any, is_judged: bool) -> None:
+    """Raise `SceneError` for what is no solver of a mechanism.
 
     Args:
         solver: a diffrax solver.
-        controller: a diffrax step-size controller; None for that of this package.
-        adjoint: a diffrax adjoint; None for derivatives of this package.
-        ts: sample times [s].
+        is_judged: whether steps are chosen by the errors that it estimates.
     """
     name = type(solver).__name__
+    if not isinstance(solver, diffrax.AbstractSolver):
+        raise SceneError(f"solver = {shown(solver)} is no solver; give an object, e.g. diffrax.Dopri8()")
     if not _takes_one_term(solver):
         raise SceneError(
             f"solver = {name}() integrates sums of terms that it treats apart (noise beside drift, an implicit part "
@@ -35,18 +35,27 @@ def check_methods(solver: Any, controller: Any, adjoint: Any, ts: Any) -> None:
             "(diffrax.Dopri8()), a Rosenbrock method (sj.Rodas5P()), or an implicit one of one term "
             "(diffrax.Kvaerno5())"
         )
+    if is_judged and not isinstance(solver, diffrax.AbstractAdaptiveSolver):
+        raise SceneError(
+            f"solver = {name}() estimates no error, so that no tolerance can choose its steps. Take another method "
+            f"(diffrax.HalfSolver(diffrax.{name}()) estimates one), or give sj.simulate the ends of its steps: "
+            "stepsize_controller=diffrax.StepTo(ts=...)"
+        )
+
+
+def check_control(controller: Any, adjoint: Any, ts: Any) -> None:
+    """Raise `SceneError` for a step-size controller or an adjoint that cannot be used.
+
+    Args:
+        controller: a diffrax step-size controller; None for that of this package.
+        adjoint: a diffrax adjoint; None for derivatives of this package.
+        ts: sample times [s].
+    """
     if controller is not None:
         _check_kind("stepsize_controller", controller, diffrax.AbstractStepSizeController, "diffrax.PIDController(...)")
         _check_controller(controller, ts)
     if adjoint is not None:
         _check_kind("adjoint", adjoint, diffrax.AbstractAdjoint, "diffrax.RecursiveCheckpointAdjoint()")
-    judges = controller is None or isinstance(controller, diffrax.AbstractAdaptiveStepSizeController)
-    if judges and not isinstance(solver, diffrax.AbstractAdaptiveSolver):
-        raise SceneError(
-            f"solver = {name}() estimates no error, so that no tolerance can choose its steps. Take another method "
-            f"(diffrax.HalfSolver(diffrax.{name}()) estimates one), or give the ends of its steps: "
-            "stepsize_controller=diffrax.StepTo(ts=...)"
-        )
 
 
 def _takes_one_term(solver: Any) -> bool:

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from spherejax.foundations.checks import is_concrete, is_tracing, shown
+from spherejax.foundations.checks import is_concrete, is_tracing
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.forms import real_number, whole_number
 from spherejax.foundations.lanes import rows_at
@@ -40,10 +40,11 @@ from spherejax.motion.results.accuracy import Limits, limits_from
 from spherejax.motion.results.stopping import When, conditions_of, stopped
 from spherejax.motion.results.trajectory import Trajectory
 from spherejax.motion.runs.accurate import accurate
-from spherejax.motion.runs.method_checks import check_methods
+from spherejax.motion.runs.method_checks import check_control, check_solver
 from spherejax.motion.runs.scene_cache import PreparedScene, again, own_arrays, prepared, remembered_call
 from spherejax.motion.runs.times import seconds_of
 from spherejax.motion.solvers.automatic import SolverChoice, choose_solver
+from spherejax.motion.solvers.given_steps import GivenSteps
 from spherejax.motion.solvers.root_finder import with_converging_root_finder
 from spherejax.motion.start.assembly import Assembly
 from spherejax.motion.start.start_now import StartWarning
@@ -58,8 +59,8 @@ NO_LIMIT = int(np.iinfo(np.int64).max)
 """Steps that no run makes."""
 
 BESIDE_THE_MOTION = (
-    "derivative_rtol is for derivatives that are integrated beside the motion: by an explicit or a Rosenbrock method, "
-    "without a controller or an adjoint of your own. Leave it, or those, out"
+    "derivative_rtol is for derivatives that are integrated beside the motion, without a controller or an adjoint of "
+    "your own. Leave it, or those, out"
 )
 """Why a tolerance of derivatives is refused."""
 
@@ -243,15 +244,20 @@ def call_of(
     budget: Any = None if is_concrete(max_steps) else max_steps
     max_steps = whole_number("max_steps", NO_LIMIT if budget is not None else max_steps, ENOUGH_STEPS)
     path, unknown = prepared_scene.path, prepared_scene.unknown
-    choice = prepared_scene.choice(rtol) if solver is None else choice_for(None, rtol, solver)
+    check_control(stepsize_controller, adjoint, ts)
+    is_judged = stepsize_controller is None or isinstance(
+        stepsize_controller, diffrax.AbstractAdaptiveStepSizeController
+    )
+    choice = prepared_scene.choice(rtol) if solver is None else choice_for(None, rtol, solver, is_judged=is_judged)
     # diffrax's forward mode has no reverse mode; the sensitivities serve both.
     by_sensitivities = adjoint is None or isinstance(adjoint, diffrax.ForwardMode)
-    check_methods(choice.solver, stepsize_controller, adjoint, ts)
     if stepsize_controller is None:
         in_numbers = not by_sensitivities and isinstance(choice.solver, diffrax.AbstractImplicitSolver)
         controller, said = control_of(prepared_scene, rtol, atol, in_numbers)
     else:
         controller, said = stepsize_controller, f"{type(stepsize_controller).__name__}: as asked for"
+        if isinstance(controller, diffrax.StepTo):
+            controller = GivenSteps(controller.ts)
     start = prepared_scene.start(ts) if carried is None else None
     assembly = None if start is None else start.assembly
     if carried is not None:
@@ -345,12 +351,27 @@ def _asked(
 
 
 def choice_for(
-    system: System | None, rtol, solver: diffrax.AbstractSolver | None, *, explicit_only: bool = False
+    system: System | None,
+    rtol,
+    solver: diffrax.AbstractSolver | None,
+    *,
+    explicit_only: bool = False,
+    is_judged: bool = True,
 ) -> SolverChoice:
-    """The solver asked for, or the one that the system calls for."""
+    """The solver asked for, or the one that the system calls for.
+
+    Args:
+        system: needed where none is asked for.
+        rtol: relative tolerance of a step.
+        solver: the one asked for, or None.
+        explicit_only: whether an explicit one is chosen.
+        is_judged: whether steps are chosen by the errors that the solver estimates.
+
+    Raises:
+        SceneError: for a solver that cannot integrate a mechanism so.
+    """
     if solver is not None:
-        if not isinstance(solver, diffrax.AbstractSolver):
-            raise SceneError(f"solver = {shown(solver)} is no solver; give an object, e.g. diffrax.Dopri8()")
+        check_solver(solver, is_judged)
         return SolverChoice(solver, f"{type(solver).__name__}: as asked for")
     assert system is not None
     return choose_solver(system, rtol, explicit_only=explicit_only)

@@ -119,7 +119,7 @@ def _coefficients(method: Any) -> ImplicitTableau | None:
     )
 
 
-def in_structure(solver: Any, structure: Structure, rate: Program, tolerances: Callable) -> Any:
+def with_structured_stages(solver: Any, structure: Structure, rate: Program, tolerances: Callable) -> Any:
     """A diagonally implicit method of diffrax, alone or in a `HalfSolver`, with the system's own linear algebra.
 
     Any other solver is returned as it is.
@@ -132,7 +132,7 @@ def in_structure(solver: Any, structure: Structure, rate: Program, tolerances: C
             controller has none.
     """
     if type(solver) is diffrax.HalfSolver:
-        inner = in_structure(solver.solver, structure, rate, tolerances)
+        inner = with_structured_stages(solver.solver, structure, rate, tolerances)
         return eqx.tree_at(lambda half: half.solver, solver, inner)
     if tableau_of(solver) is None:
         return solver
@@ -147,7 +147,7 @@ class DiagonallyImplicit(diffrax.AbstractAdaptiveSolver):
         own: the method of diffrax.
         rate: right-hand side of the state (static).
         systems: its linear algebra (static); None where array code has none of its own.
-        tolerances: see `in_structure` (static).
+        tolerances: see `with_structured_stages` (static).
     """
 
     own: Any
