@@ -72,6 +72,9 @@ CASES = {
     "lubricated four-bar, its scene": "by_scene(sj.Lubricated(clearance=1e-4, viscosity=0.4))",
 }
 
+WITH_ROWS = {"lubricated four-bar, its scene"}
+"""Cases that are also measured with a row for each number in place of the way back."""
+
 
 def measured(case: str, way: str) -> tuple[int, float, float]:
     """Count of numbers, processor time of a first call [s], and time of a call [s], in a process of its own."""
@@ -86,7 +89,7 @@ def main() -> None:
     rows = []
     for case in CASES:
         _, _, value = measured(case, "value")
-        for way in ("value", "gradient", "direction"):
+        for way in ("value", "gradient", "direction", *(["rows"] if case in WITH_ROWS else [])):
             count, first, taken = measured(case, way)
             rows.append(
                 {
