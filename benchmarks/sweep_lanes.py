@@ -25,7 +25,8 @@ from sweep_scenes import dry
 
 import spherejax as sj
 from spherejax.motion.integration.widths import block_for
-from spherejax.motion.runs.many import many, method_for
+from spherejax.motion.runs.many import batch_settings, many
+from spherejax.motion.settings import RunSettings
 
 WIDTHS = (100, 1_000, 10_000, 100_000, 1_000_000)
 DURATION = 0.02
@@ -56,7 +57,7 @@ def measured(width: int, device, n_blocks: int = 1) -> dict:
     """One width on one device."""
     rows = {"clearance": np.linspace(5e-5, 2e-4, width * n_blocks)}
     block = sj.Block(width=width, narrow=max(width // 8, 1))
-    method = method_for(dry, rows, 1e-8, None, diffrax.Dopri8(), 1_000_000, False, block)
+    method = batch_settings(dry, rows, RunSettings(solver=diffrax.Dopri8(), max_steps=1_000_000), block)
 
     def heights(rows, is_wanted):
         runs = many(dry, method, rows, jnp.array([0.0, DURATION]), is_wanted)

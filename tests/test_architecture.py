@@ -23,7 +23,7 @@ ORDER = [
 ]  # fmt: skip
 ALONE = ["compiler", "program_cache"]
 """Buildings that import nothing else of the package, so that they could be published alone."""
-ROOMS = ["equations", "start", "solvers", "integration", "derivatives", "results", "runs"]
+ROOMS = ["settings", "equations", "start", "solvers", "integration", "derivatives", "results", "runs"]
 """Of `motion`, in the order of a run."""
 FILES = sorted(PACKAGE.rglob("*.py"))
 
@@ -152,7 +152,7 @@ def between_rooms(folder: str, rooms: list[str]) -> list[str]:
     found = []
     top = PACKAGE / folder / "__init__.py"
     for path in (path for path in FILES if folder_of(path) == folder and path != top):
-        own, *_ = path.relative_to(PACKAGE / folder).parts
+        own = Path(path.relative_to(PACKAGE / folder).parts[0]).stem
         assert own in rooms, f"every file of {folder}/ stands in a room: {path}"
         others = [name for name in imported(path) if name.startswith(f"spherejax.{folder}.")]
         found += [f"{path}: {name}" for name in others if rooms.index(name.split(".")[2]) > rooms.index(own)]

@@ -163,7 +163,7 @@ def test_times_that_are_none_are_answered_in_words(run):
         with pytest.raises(sj.SceneError, match=words):
             run.at(t)
     with pytest.raises(sj.SceneError, match="cannot be repeated"):
-        replace(run, asked=None).at(1e-4)  # its tolerances were traced
+        replace(run, settings=None).at(1e-4)  # its tolerances were traced
     with pytest.raises(sj.SceneError, match=r"a ball that flies; run\.impacts\('joint'\)"):
         magnitudes(run.system, 0.0, run.ys[0], ("penetration.joint",))
     with pytest.raises(sj.SceneError, match="adds up from the start"):

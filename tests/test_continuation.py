@@ -115,7 +115,7 @@ def test_other_numbers_from_the_seam_on(way):
     expected = [x, *(block_at(t, x, v, 3.0, 5.0)[0] for t in (0.2, 0.4))]
     np.testing.assert_allclose(second.ts, [0.6, 0.8, 1.0])
     np.testing.assert_allclose(second.position("block")[:, 0], expected, atol=1e-8)
-    assert second.asked == first.asked
+    assert second.settings == first.settings
     assert second.scalar == first.scalar
 
 

@@ -141,12 +141,14 @@ def test_an_accuracy_chooses_the_tolerance():
     assert bench.size(np.asarray(loose.position("rod")) - exact).max() > 1e-4
     run = pendulum(1e-5, accuracy={"position.rod": "10 nm"})
     assert run.status == sj.Status.SUCCEEDED
-    assert run.asked.rtol < 1e-8
+    assert run.settings.rtol < 1e-8
+    with pytest.warns(DeprecationWarning, match="run.settings"):
+        assert run.asked == run.settings
     assert bench.size(np.asarray(run.position("rod")) - exact).max() < 1e-8
     assert float(run.accuracy.errors[0]) <= 0.5e-8
     assert "position.rod" in str(run.accuracy)
     assert "by accuracy=" in run.stats.explanation
-    assert np.array_equal(pendulum(run.asked.rtol).ys, run.ys)
+    assert np.array_equal(pendulum(run.settings.rtol).ys, run.ys)
     assert run.determined_until == TS[-1]
 
 

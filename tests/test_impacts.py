@@ -128,7 +128,7 @@ def test_contacts_at_the_start_and_at_the_end():
 
 
 def test_more_steps_than_expected_are_found_all_the_same(run):
-    few = steps_of(run.system, run.asked, run.ts, run.ys, 1, float(run.t_reached), run.scalar)
+    few = steps_of(run.system, run.settings, run.ts, run.ys, 1, float(run.t_reached), run.scalar)
     assert len(few.ends) == int(run.stats.n_accepted) > 256
     assert few.ends[-1] == 0.01
     np.testing.assert_allclose(few.at_ends[-1], run.ys[-1], atol=1e-9)

@@ -11,7 +11,8 @@ import spherejax as sj
 from spherejax.motion.integration import widths
 from spherejax.motion.integration.lanes import Block
 from spherejax.motion.integration.status import Status
-from spherejax.motion.runs.many import many, method_for, simulate_many
+from spherejax.motion.runs.many import batch_settings, many, simulate_many
+from spherejax.motion.settings import RunSettings
 from spherejax.studies.sweep.run import LARGEST_SAMPLES, _chunk_size
 
 TS = np.array([0.0, 0.5])
@@ -52,7 +53,9 @@ def test_chunks_are_equal_and_memory_is_bounded(block):
 
 def compiled(width: int, n_runs: int):
     rows = {"gravity": jnp.linspace(1.0, 20.0, n_runs)}
-    method = method_for(pendulum, rows, 1e-8, None, diffrax.Dopri8(), 10_000, False, Block(width, width // 8))
+    method = batch_settings(
+        pendulum, rows, RunSettings(solver=diffrax.Dopri8(), max_steps=10_000), Block(width, width // 8)
+    )
 
     def ends(rows, is_wanted):
         runs = many(pendulum, method, rows, jnp.asarray(TS), is_wanted)

@@ -19,7 +19,8 @@ from sweeping import hanging, pendulum
 import spherejax as sj
 from spherejax.files.robots import urdf_elements
 from spherejax.motion.integration.widths import block_for
-from spherejax.motion.runs.many import many, method_for
+from spherejax.motion.runs.many import batch_settings, many
+from spherejax.motion.settings import RunSettings
 from spherejax.runtime import interrupts_kept
 
 TS = jnp.linspace(0.0, 0.1, 3)
@@ -123,7 +124,7 @@ def test_programs_with_sensitivities_and_of_many_runs_do_not_call_back_into_pyth
 
     one = jax.jit(lambda c: jax.jvp(height, (c,), (1.0,))).lower(1e-4).as_text()
     parameters = {"clearance": np.array([1e-4, 2e-4])}
-    method = method_for(hanging, parameters, 1e-8, None, None, 100, False, block_for())
+    method = batch_settings(hanging, parameters, RunSettings(max_steps=100), block_for())
     lanes = jax.jit(lambda p: many(hanging, method, p, TS, jnp.ones(2, bool)).trajectories.ys).lower(parameters)
     assert "callback" not in one
     assert "callback" not in lanes.as_text()

@@ -24,12 +24,10 @@ Limits: the errors of the derivatives are controlled along the mixture, not one 
 
 import warnings
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
 
 import diffrax
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -41,19 +39,20 @@ from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import Program, program_for
 from spherejax.motion.integration.compiling import in_machine_code, options_for
 from spherejax.motion.integration.implicit_rows import differentiable_solver
-from spherejax.motion.integration.integrate import (
-    Options,
+from spherejax.motion.integration.jobs import Job, JobKind, with_slopes
+from spherejax.motion.integration.lanes import Block, LaneProblem, StepLog, steps_in_lanes
+from spherejax.motion.integration.lanes.stages import explicit_tableau, own_time
+from spherejax.motion.integration.method import RunMethod
+from spherejax.motion.integration.one_run import lane_job
+from spherejax.motion.integration.plan import (
     Parameters,
     Plan,
+    RunInputs,
     beginning,
     contacts_of,
     correction_for,
     parameters_from,
 )
-from spherejax.motion.integration.jobs import Job, JobKind, with_slopes
-from spherejax.motion.integration.lanes import Block, LaneProblem, StepLog, steps_in_lanes
-from spherejax.motion.integration.lanes.stages import explicit_tableau, own_time
-from spherejax.motion.integration.one_run import RunRequest
 from spherejax.motion.integration.sampling import samples_of
 from spherejax.motion.integration.sensitivity_rows import delay_weights
 from spherejax.motion.integration.status import SimulationWarning, Status
@@ -135,12 +134,8 @@ def warn_of_kinks(names: str, stacklevel: int = 2) -> None:
 @cached_jit(what="the gradient of a run", options=options_for)
 def pulled_back(
     plan: Plan,
-    request: RunRequest,
-    values: Float[Array, " p"],
-    known: Float[Array, " n_numbers"],
-    ts: Float[Array, " n"],
-    start: Any,
-    values_are_legal: Any,
+    method: RunMethod,
+    inputs: RunInputs,
     by_ys: Float[Array, "n size"],
     by_assembly: Any = None,
     along: Float[Array, " p"] | None = None,
@@ -148,45 +143,42 @@ def pulled_back(
     """The derivatives of a number by the traced numbers; NaN where the run fails.
 
     Args:
-        plan, request, values, known, ts, start, values_are_legal: as of `one_run.integrated`.
+        plan, method, inputs: as of `one_run.integrated`; the method as `with_steps_back` makes it.
         by_ys: its derivatives by the sampled states.
         by_assembly: those by how the start was assembled; None where it does not depend on that.
         along: the direction in the numbers whose sensitivity is carried along; None for a mixture of all.
     """
-    given = plan, request, values, known, ts, start, values_are_legal, by_ys, by_assembly, along
     # Straight lines of a thousand operations and more, back as well as forward, take XLA minutes. What lies between
     # them is not joined (`native_run`): of the way back through a contact XLA (JAX 0.10) cannot compile a branch then.
     with program_for(state_rate, plan.structure, plan.scalar).native_code(in_machine_code(plan)):
-        return _pulled_back(*given)
+        return _pulled_back(plan, method, inputs, by_ys, by_assembly, along)
 
 
-def gradient_of(
-    plan: Plan, options: Options, values, directions, known, ts, start, values_are_legal, by_ys
-) -> Float[Array, " p"]:
+def gradient_of(plan: Plan, method: RunMethod, inputs: RunInputs, directions, by_ys) -> Float[Array, " p"]:
     """`pulled_back` of a run whose numbers move along directions alone, shape (k, p): a mixture of these is carried."""
-    request = RunRequest.of(plan.structure, replace(options, solver=with_steps_back(options.solver)))
     along = jnp.asarray(mixture_of(directions.shape[0])[0]) @ directions
-    return pulled_back(plan, request, values, known, ts, start, values_are_legal, by_ys, None, along)
+    return pulled_back(plan, method.with_solver(with_steps_back(method.solver)), inputs, by_ys, None, along)
 
 
-def _pulled_back(plan, request, values, known, ts, start, values_are_legal, by_ys, by_assembly, along) -> Array:
+def _pulled_back(plan: Plan, method: RunMethod, inputs: RunInputs, by_ys, by_assembly, along) -> Array:
+    values, known, ts = inputs.values, inputs.known, inputs.ts
     if along is None:
         along = jnp.asarray(mixture_of(values.shape[0])[0] * plan.scales(values))
 
     def job_of_values(values):
-        return request.job(plan, values, known, ts, start, values_are_legal)
+        return lane_job(plan, method, inputs._replace(values=values))
 
     job, _ = with_slopes(job_of_values, values, along[None])
-    job = job._replace(numbers=job.numbers._replace(slack=request.slack * MIXTURE_SLACK))
+    factor = jnp.asarray(method.factor(plan.structure)) * MIXTURE_SLACK
+    job = job._replace(numbers=job.numbers._replace(slack=factor))
     # Where explicit steps go over kinks by a step of their own, straight ones that begin behind them take their place.
-    is_straight = is_explicit(request.rest) and bool(kinks_of(plan.structure))
-    how = {"moving": plan.unknown, "control": request.control, "by_steps": is_straight}
-    kind = JobKind(plan.structure, plan.scalar, request.rest, True, **how)
-    problem = kind.problem(ts, request.of_all)._replace(max_steps=ROOM)
+    is_straight = is_explicit(method.rest) and bool(kinks_of(plan.structure))
+    kind = JobKind.of(plan, method, with_rows=True, moving=plan.unknown, by_steps=is_straight)
+    problem = kind.problem(ts, method.shared)._replace(max_steps=ROOM)
 
     rate = program_for(state_rate, plan.structure, plan.scalar)
     parameters, to_values = jax.vjp(partial(parameters_from, plan, rate, known), values)
-    back = _StepsBack(plan, request, rate, parameters, ts, by_ys)
+    back = _StepsBack(plan, method, rate, parameters, ts, by_ys)
     n = jnp.asarray(ts.shape[0] - 1)
     sweep = _Sweep(jnp.zeros(job.y0.shape[1:]), jax.tree.map(jnp.zeros_like, parameters), n)
     stretches = _Stretches(
@@ -203,7 +195,8 @@ def _pulled_back(plan, request, values, known, ts, start, values_are_legal, by_y
     by_start = swept.sweep.by_state + jnp.sum(jnp.where(is_first, by_ys, 0.0), axis=0)
 
     def start_of(values):
-        return beginning(plan, plan.theta(values, known), ts[0], plan.start(values, start))
+        moved = inputs._replace(values=values)
+        return beginning(plan, plan.theta_of(moved), ts[0], plan.start_of(moved))
 
     (assembly, _), to_start = jax.vjp(start_of, values)
     by_assembly = jax.tree.map(jnp.zeros_like, assembly) if by_assembly is None else by_assembly
@@ -247,14 +240,14 @@ def _with_stretch(problem: LaneProblem, job: Job, t_end, back: "_StepsBack", str
 class _StepsBack:
     """The way back along steps; lives while a program is traced."""
 
-    def __init__(self, plan: Plan, request: RunRequest, rate: Program, parameters: Parameters, ts, by_ys):
+    def __init__(self, plan: Plan, method: RunMethod, rate: Program, parameters: Parameters, ts, by_ys):
         self.parameters, self.ts, self.by_ys = parameters, ts, by_ys
         self.rate = lambda t, y, parameters: rate.inside(parameters.theta, parameters.ahead, t, y)
         self.correct, self.event = correction_for(plan), event_of(plan, rate)
         self.taken = samples_of(plan.structure, plan.scalar)
         self.contacts = contacts_of(plan.structure, plan.scalar)
         self.has_kinks = self.contacts is not None and bool(self.contacts.kinks)
-        solver: Any = eqx.combine(request.solver, request.rest)
+        solver = method.solver
         self.interpolation = solver.interpolation_cls
         self.is_explicit = is_explicit(solver)
         if self.is_explicit:

@@ -3,7 +3,6 @@ error control; see `sensitivity_rows` for their equations.
 """
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 import diffrax
@@ -12,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.custom_derivatives import SymbolicZero
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.errors import SceneError
@@ -24,8 +23,9 @@ from spherejax.motion.derivatives.through_touches import any_jump, warn_of_rosen
 from spherejax.motion.equations.contacts import kinks_of
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for
-from spherejax.motion.integration.integrate import Options, Outcome, Plan, contacts_of
-from spherejax.motion.integration.one_run import RunRequest, differentiable_slopes, run_of, slopes_as_job
+from spherejax.motion.integration.method import RunMethod
+from spherejax.motion.integration.one_run import differentiable_slopes, run_and_slopes, run_of
+from spherejax.motion.integration.plan import Outcome, Plan, RunInputs, contacts_of
 from spherejax.motion.integration.sensitivity_rows import with_start_time
 from spherejax.motion.integration.status import Status
 from spherejax.motion.start.assembly import Assembly
@@ -33,7 +33,7 @@ from spherejax.program_cache import cached_jit
 
 
 def integrate_with_sensitivities(
-    plan: Plan, options: Options, values, known, ts, start, values_are_legal, abrupt: tuple[str, ...] = ()
+    plan: Plan, method: RunMethod, inputs: RunInputs, abrupt: tuple[str, ...] = ()
 ) -> Outcome:
     """As `run_of`, differentiable in forward and in reverse mode: by the traced numbers and by the sample times.
 
@@ -45,70 +45,66 @@ def integrate_with_sensitivities(
     integration; elsewhere the first time has a row of sensitivities of its own. See `sensitivity_rows`.
 
     Args:
-        plan, options, values, known, ts, start, values_are_legal: as of `run_of`.
+        plan, method, inputs: as of `run_of`.
         abrupt: names of contacts that Rosenbrock methods do not differentiate well; see `through_touches`.
     """
-    if not plan.unknown and not plan.from_state and is_concrete(ts):
-        return run_of(plan, options, values, known, ts, start, values_are_legal)
+    if not plan.unknown and not plan.from_state and is_concrete(inputs.ts):
+        return run_of(plan, method, inputs)
     # Tolerances may be traced: a rule may not close over them.
-    arrays, others = eqx.partition(options, eqx.is_array)
+    arrays, others = eqx.partition(method, eqx.is_array)
 
     def slopes_by(by_start: bool) -> Callable:
         """The run and its slopes, by the first sample time behind the numbers where `by_start`."""
 
         @jax.custom_jvp
-        def with_slopes(values, arrays, *rest: Any) -> tuple[Outcome, Slopes]:
-            options = eqx.combine(arrays, others).decided
-            scale = with_start_time(plan.scales(values), by_start)
-            found = slopes_as_job(plan, options, values, _diagonal(scale), *rest, by_start=by_start)
-            return found.outcome, Slopes(*_unscaled((found.ys, found.assembly), scale))
+        def with_slopes(inputs: RunInputs, arrays: Any) -> tuple[Outcome, Slopes]:
+            scale = with_start_time(plan.scales(inputs.values), by_start)
+            run = run_and_slopes(plan, eqx.combine(arrays, others), inputs, _diagonal(scale), by_start)
+            return run.outcome, Slopes(*_unscaled((run.slopes, run.assembly_slopes), scale))
 
         def with_slopes_jvp(primals, tangents):
-            if by_start or _is_moved(tangents[3]):
+            inputs, moved = primals[0], tangents[0]
+            if by_start or _is_moved(moved.ts):
                 raise SceneError(NO_SECOND_BY_TIME)
-            solver = eqx.combine(primals[1], others).decided.solver
+            method = eqx.combine(primals[1], others).decided
             example = example_of(plan.structure)
-            if example.touching_forces or (example.contact_joints and isinstance(solver, diffrax.AbstractERK)):
+            if example.touching_forces or (example.contact_joints and isinstance(method.rest, diffrax.AbstractERK)):
                 raise SceneError(NO_SECOND_DERIVATIVES)
             _refuse_large(plan)
-            found = with_slopes(*primals)
-            options = eqx.combine(primals[1], others).decided
+            first = with_slopes(*primals)
 
             def floats(values):
-                return eqx.filter(_differentiable(plan, options, values, *primals[2:]), _is_float)
+                return eqx.filter(_differentiable(plan, method, inputs._replace(values=values)), _is_float)
 
             # All of them, then those along the tangent: that can be transposed, which a loop cannot.
-            second = jax.jacfwd(floats)(primals[0])
-            along = _instantiated(tangents[0], primals[0])
+            second = jax.jacfwd(floats)(inputs.values)
+            along = _instantiated(moved.values, inputs.values)
             # A film may never be pressed through; where it is, they would miss what happens there.
-            along = jnp.where(_has_contact(plan, found[0]), jnp.nan, along)
-            return found, jax.tree.map(
-                lambda value, slopes: _no_tangent(value) if slopes is None else slopes @ along, found, second
+            along = jnp.where(_has_contact(plan, first[0]), jnp.nan, along)
+            return first, jax.tree.map(
+                lambda value, slopes: _no_tangent(value) if slopes is None else slopes @ along, first, second
             )
 
         with_slopes.defjvp(with_slopes_jvp, symbolic_zeros=True)
         return with_slopes
-
-    is_by_one_direction = _goes_back(plan, options)
 
     def along_one_direction(outcome: Outcome, primals, tangent) -> Any:
         """The derivatives of samples and start along a tangent, whose transpose goes back along the run's steps."""
         residuals, tree = jax.tree.flatten((primals, outcome.status == Status.SUCCEEDED))
 
         def forward(leaves, x):
-            (values, arrays, *rest), _ = jax.tree.unflatten(tree, leaves)
-            options = eqx.combine(arrays, others).decided
+            (inputs, arrays), _ = jax.tree.unflatten(tree, leaves)
             # Errors of sensitivities are judged in the units of the state: the tangent is as large as the numbers.
-            size = jnp.max(jnp.abs(x[0] / plan.scales(values)))
+            size = jnp.max(jnp.abs(x[0] / plan.scales(inputs.values)))
             size = jnp.where(size > 0, size, 1.0)
-            slopes = slopes_as_job(plan, options, values, (x[0] / size)[None], *rest)
-            return jax.tree.leaves(jax.tree.map(lambda leaf: leaf[0] * size, (slopes.ys, slopes.assembly)))
+            one = run_and_slopes(plan, eqx.combine(arrays, others), inputs, (x[0] / size)[None])
+            return jax.tree.leaves(jax.tree.map(lambda leaf: leaf[0] * size, (one.slopes, one.assembly_slopes)))
 
         def backward(leaves, y):
-            (values, arrays, *rest), has_succeeded = jax.tree.unflatten(tree, leaves)
-            options = eqx.combine(arrays, others).decided
-            request = RunRequest.of(plan.structure, replace(options, solver=with_steps_back(options.solver)))
-            slopes = pulled_back(plan, request, values, *rest, *jax.tree.unflatten(image, y))
+            (inputs, arrays), has_succeeded = jax.tree.unflatten(tree, leaves)
+            method = eqx.combine(arrays, others)
+            back = method.with_solver(with_steps_back(method.solver))
+            slopes = pulled_back(plan, back, inputs, *jax.tree.unflatten(image, y))
             return [jnp.where(has_succeeded, slopes, jnp.nan)]
 
         def differentiable(leaves, x):
@@ -121,27 +117,28 @@ def integrate_with_sensitivities(
         return jax.tree.unflatten(image, linear_operation(linear, residuals, [tangent]))
 
     @jax.custom_jvp
-    def run(values, arrays, known, ts, start, values_are_legal):
-        return run_of(plan, eqx.combine(arrays, others), values, known, ts, start, values_are_legal)
+    def run(inputs: RunInputs, arrays: Any) -> Outcome:
+        return run_of(plan, eqx.combine(arrays, others), inputs)
 
     def run_jvp(primals, tangents):
-        values, _, known, ts, *_ = primals
-        moves_times = _is_moved(tangents[3])
+        inputs, moved = primals[0], tangents[0]
+        values, ts = inputs.values, inputs.ts
+        moves_times = _is_moved(moved.ts)
         by_start = moves_times and depends_on_time(plan)
         if moves_times:
             _refuse_by_time(plan)
-        if _is_moved(tangents[0]) or by_start:
+        if _is_moved(moved.values) or by_start:
             has_touches = bool(example_of(plan.structure).touching_forces)
-            jumps = any_jump(plan.structure.system(plan.theta(values, known))) if has_touches else None
-            warn_of_rosenbrock(abrupt, options.solver)
-            along = _instantiated(tangents[0], values)
-            if is_by_one_direction and not by_start:
+            jumps = any_jump(plan.structure.system(plan.theta_of(inputs))) if has_touches else None
+            warn_of_rosenbrock(abrupt, method.solver)
+            along = _instantiated(moved.values, values)
+            if _goes_back(plan) and not by_start:
                 outcome = run(*primals)
                 ys_dot, assembly = along_one_direction(outcome, primals, along)
             else:
                 outcome, jacobian = slopes_by(by_start)(*primals)
                 if by_start:
-                    along = jnp.append(along, tangents[3][0])
+                    along = jnp.append(along, moved.ts[0])
                 ys_dot, assembly = _along(jacobian, along)
             if jumps is not None:  # of a function whose numbers `jax.jit` hides, an error can say nothing
                 # A factor: `jnp.where` transposed would be a gradient of zero.
@@ -153,16 +150,15 @@ def integrate_with_sensitivities(
         t_dot = jnp.zeros_like(outcome.t_reached)
         if moves_times:
             # What the first time moves besides is in the rows, where it is more than a shift of all times.
-            delays = tangents[3] if by_start else tangents[3] - tangents[3][0]
-            ys_dot = ys_dot + delays[:, None] * _rates_at(plan, plan.theta(values, known), ts, outcome.ys)
-            t_dot = tangents[3][-1]
+            delays = moved.ts if by_start else moved.ts - moved.ts[0]
+            ys_dot = ys_dot + delays[:, None] * _rates_at(plan, plan.theta_of(inputs), ts, outcome.ys)
+            t_dot = moved.ts[-1]
         t_dot, y_dot = jax.tree.map(lambda dot: jnp.where(succeeded, dot, jnp.nan), (t_dot, ys_dot[-1]))
         counts = jax.tree.map(_no_tangent, (outcome.status, outcome.stats))
         return outcome, Outcome(ys_dot, t_dot, y_dot, counts[0], counts[1], assembly)
 
     run.defjvp(run_jvp, symbolic_zeros=True)
-    arrays = jax.lax.stop_gradient(arrays)
-    return run(values, arrays, known, ts, start, values_are_legal)
+    return run(inputs, jax.lax.stop_gradient(arrays))
 
 
 MANY = 32
@@ -172,7 +168,7 @@ Gradients by rows and back take as long as each other by some 40 weights of a ne
 and 0.73; 51: 0.46 and 0.38), and by some 30 numbers of a dry four-bar. The first call back takes 2 s more."""
 
 
-def _goes_back(plan: Plan, options: Options) -> bool:
+def _goes_back(plan: Plan) -> bool:
     """Whether gradients of a run go back along its steps, in place of rows for all numbers.
 
     Where a stiffness may be there at once each row has to be controlled by itself; see `pullback.UNSURE_THROUGH_KINKS`.
@@ -301,59 +297,12 @@ class Slopes(NamedTuple):
     assembly: Assembly
 
 
-class StatesAndSlopes(NamedTuple):
-    """A run and its derivatives along k directions in the traced numbers, from one integration.
-
-    Attributes:
-        ys: flat states at the sample times; NaN where a failed run did not reach a sample.
-        slopes: their derivatives along the directions.
-        assembly: how the start was made consistent.
-        assembly_slopes: its derivatives, with a leading axis of directions.
-        status: integer of `Status`.
-        t_reached: time reached [s].
-        n_steps: steps tried.
-    """
-
-    ys: Float[Array, "n size"]
-    slopes: Float[Array, "k n size"]
-    assembly: Assembly
-    assembly_slopes: Assembly
-    status: Int[Array, ""]
-    t_reached: Float[Array, ""]
-    n_steps: Int[Array, ""]
-
-
-def integrate_along(
-    plan: Plan,
-    options: Options,
-    values: Float[Array, " p"],
-    directions: Float[Array, "k p"],
-    known: Float[Array, " n_numbers"],
-    ts: Float[Array, " n"],
-    start: Assembly | None,
-    values_are_legal: Flag,
-) -> StatesAndSlopes:
-    """Integrate a run and its derivatives along directions in the traced numbers, in one integration.
-
-    Args:
-        plan, options, values, known, ts, start, values_are_legal: as for `run_of`.
-        directions: of length |p| or so, for all sensitivities to be in the units of the state.
-
-    The errors of the sensitivities are controlled as the state's.
-    """
-    found = slopes_as_job(plan, options, values, directions, known, ts, start, values_are_legal)
-    run = found.outcome
-    return StatesAndSlopes(run.ys, found.ys, run.assembly, found.assembly, run.status, run.t_reached, run.stats.n_steps)
-
-
 @cached_jit(what="the derivatives of a run")
-def _differentiable(
-    plan: Plan, options: Options, values: Float[Array, " p"], known, ts, start, values_are_legal
-) -> tuple[Outcome, Slopes]:
+def _differentiable(plan: Plan, method: RunMethod, inputs: RunInputs) -> tuple[Outcome, Slopes]:
     """A run and its slopes, to be differentiated once more in forward mode."""
-    scale = plan.scales(values)
-    found = differentiable_slopes(plan, options, values, _diagonal(scale), known, ts, start, values_are_legal)
-    return found.outcome, Slopes(*_unscaled((found.ys, found.assembly), scale))
+    scale = plan.scales(inputs.values)
+    run = differentiable_slopes(plan, method, inputs, _diagonal(scale))
+    return run.outcome, Slopes(*_unscaled((run.slopes, run.assembly_slopes), scale))
 
 
 @jax.jit

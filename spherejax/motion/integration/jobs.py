@@ -10,19 +10,20 @@ from typing import Any, NamedTuple
 
 import diffrax
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from spherejax.foundations.types import Flag
-from spherejax.model.system import Structure, System, example_of
+from spherejax.model.system import Structure, example_of
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import Program, program_for
 from spherejax.motion.equations.quantities import magnitudes
-from spherejax.motion.integration.audit import Limits, limits_of
 from spherejax.motion.integration.compiling import in_machine_code
 from spherejax.motion.integration.implicit_rows import rows_with_fixed_matrix, slack_of, solver_of_rows
-from spherejax.motion.integration.integrate import (
+from spherejax.motion.integration.lanes import LaneOutcome, LaneProblem
+from spherejax.motion.integration.longest_step import longest_step
+from spherejax.motion.integration.method import RunMethod
+from spherejax.motion.integration.plan import (
     Parameters,
     Plan,
     audit_of,
@@ -31,8 +32,6 @@ from spherejax.motion.integration.integrate import (
     correction_for,
     room_of,
 )
-from spherejax.motion.integration.lanes import LaneOutcome, LaneProblem
-from spherejax.motion.integration.longest_step import longest_step
 from spherejax.motion.integration.sampling import samples_of
 from spherejax.motion.integration.sensitivity_rows import (
     correcting_rows,
@@ -129,6 +128,11 @@ class JobKind:
     moving: tuple[int, ...] | None = None
     control: Any = None
     by_steps: bool = False
+
+    @classmethod
+    def of(cls, plan: Plan, method: RunMethod, **others: Any) -> "JobKind":
+        """That of a plan and a method; `others` as the attributes."""
+        return cls(plan.structure, plan.scalar, method.rest, control=method.control, **others)
 
     @property
     def n_contacts(self) -> int:
@@ -261,11 +265,6 @@ def job_of(
         ahead = rate.ahead(theta)
     numbers = RunNumbers(Parameters(theta, ahead), None, tolerances, limits)
     return Job(numbers, y0, status == Status.SUCCEEDED, status, assembly)
-
-
-def audit_limits(system: System, rtol, solver: Any) -> Limits:
-    """From where on a run is wrong; constant where it is differentiated."""
-    return jax.lax.stop_gradient(jax.tree.map(jnp.asarray, limits_of(system, rtol, solver)))
 
 
 def with_slopes(

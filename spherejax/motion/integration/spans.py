@@ -5,7 +5,6 @@ x of its span: t = begin + length x, dy/dx = length f(t, y). Everything else is 
 time are told it, and what they say of rates is taken by the share.
 """
 
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import diffrax
@@ -18,10 +17,11 @@ from spherejax.foundations.types import Numeric, Scalar
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for
 from spherejax.motion.integration.audit import Audit
-from spherejax.motion.integration.integrate import Parameters
-from spherejax.motion.integration.jobs import JobKind, RunNumbers, audit_limits
+from spherejax.motion.integration.jobs import JobKind, RunNumbers
 from spherejax.motion.integration.lanes import LaneOutcome, LaneProblem, run_in_lanes
 from spherejax.motion.integration.longest_step import STEPS_AT_LEAST
+from spherejax.motion.integration.method import RunMethod
+from spherejax.motion.integration.plan import Parameters, Plan
 from spherejax.motion.integration.sensitivity_rows import linearized
 from spherejax.motion.integration.status import Status
 from spherejax.motion.integration.widths import block_for
@@ -148,19 +148,6 @@ def _contacts(contacts: ContactFunctions) -> ContactFunctions:
     )
 
 
-@dataclass(frozen=True)
-class SpanKind:
-    """What the lanes integrate (static).
-
-    Attributes:
-        kind: the same over time.
-        cycles: how often what depends on time repeats itself in a span.
-    """
-
-    kind: JobKind
-    cycles: int = 1
-
-
 class Jobs(NamedTuple):
     """Spans to be integrated.
 
@@ -183,32 +170,31 @@ class Jobs(NamedTuple):
 
 @cached_jit(what="cycles in lanes")
 def over_spans(
-    kind: SpanKind, arrays: Any, tolerances: Any, budget: Any, jobs: Jobs, shares: Float[Array, " n"]
+    plan: Plan, method: RunMethod, with_rows: bool, cycles: int, jobs: Jobs, shares: Float[Array, " n"]
 ) -> LaneOutcome:
     """Integrate spans, all at once.
 
     Args:
-        kind: what is integrated.
-        arrays: of the solver.
-        tolerances: relative and absolute.
-        budget: largest number of steps.
+        plan, method: what is integrated, and how.
+        with_rows: whether derivatives are integrated beside the states.
+        cycles: how often what depends on time repeats itself in a span.
         jobs: the spans.
         shares: of each span at which states are wanted, from 0 to 1.
     """
-    job = kind.kind
-    rate = program_for(state_rate, job.structure, job.scalar)
+    rate = program_for(state_rate, plan.structure, plan.scalar)
 
     def numbers_of(theta, directions) -> RunNumbers:
         def of_theta(theta):
             return Parameters(theta, rate.ahead(theta))
 
-        limits = audit_limits(job.structure.system(theta), tolerances[0], job.solver)
-        if not job.with_rows:
-            return RunNumbers(of_theta(theta), None, None, limits)
-        found = linearized(of_theta, theta, directions)
-        return RunNumbers(found.value, found.slopes, None, limits)
+        limits, tolerances = method.limits(plan, theta), method.own_tolerances
+        if not with_rows:
+            return RunNumbers(of_theta(theta), None, tolerances, limits)
+        moved = linearized(of_theta, theta, directions)
+        return RunNumbers(moved.value, moved.slopes, tolerances, limits)
 
-    problem = by_shares(job.problem(shares, (arrays, tolerances, budget)), kind.cycles)
+    kind = JobKind.of(plan, method, with_rows=with_rows)
+    problem = by_shares(kind.problem(shares, method.shared), cycles)
     spans = Span(jax.vmap(numbers_of)(jobs.theta, jobs.directions), jobs.begin, jobs.length)
     status = jnp.full(jobs.begin.shape, Status.SUCCEEDED, jnp.int64)
     return run_in_lanes(problem, spans, jobs.y0, shares, jobs.is_wanted, status, block_for())

@@ -16,17 +16,17 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from spherejax.foundations.types import Flag
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for
 from spherejax.motion.integration.audit import Audit
 from spherejax.motion.integration.compiling import options_for_stiff
-from spherejax.motion.integration.integrate import (
-    Options,
+from spherejax.motion.integration.longest_step import longest_step
+from spherejax.motion.integration.method import RunMethod
+from spherejax.motion.integration.plan import (
     Outcome,
     Parameters,
     Plan,
-    audit_limits,
+    RunInputs,
     audit_of,
     beginning,
     contacts_of,
@@ -34,7 +34,6 @@ from spherejax.motion.integration.integrate import (
     room_of,
     stages_of,
 )
-from spherejax.motion.integration.longest_step import longest_step
 from spherejax.motion.integration.sampling import samples_of
 from spherejax.motion.integration.statistics import Statistics
 from spherejax.motion.integration.status import AUDIT_RESULT, Status, end_status, start_status, status_of
@@ -44,7 +43,6 @@ from spherejax.motion.solvers.implicit import with_structure
 from spherejax.motion.solvers.landing import ErrorAndInside, LandingController
 from spherejax.motion.solvers.root_finder import with_converging_root_finder
 from spherejax.motion.solvers.wrapping import AbstractForwardingSolver
-from spherejax.motion.start.assembly import Assembly
 from spherejax.program_cache import cached_jit
 
 
@@ -80,26 +78,26 @@ class EngineStep(AbstractForwardingSolver):
 
 @cached_jit(what="a run", options=options_for_stiff)
 def integrate_through_diffrax(
-    plan: Plan,
-    options: Options,
-    adjoint: diffrax.AbstractAdjoint,
-    values: Float[Array, " n_unknown"],
-    known: Float[Array, " p"],
-    ts: Float[Array, " n"],
-    start: Assembly | None,
-    values_are_legal: Flag,
+    plan: Plan, method: RunMethod, adjoint: diffrax.AbstractAdjoint, max_steps: int, inputs: RunInputs
 ) -> Outcome:
-    """Assemble the start if need be, integrate with diffrax and its adjoint, and gather the outcome."""
-    theta = plan.theta(values, known)
-    assembly, y0 = beginning(plan, theta, ts[0], plan.start(values, start))
-    began = start_status(values_are_legal, assembly.residual_after, y0)
+    """Assemble the start if need be, integrate with diffrax and its adjoint, and gather the outcome.
+
+    Args:
+        plan, method, inputs: as of `one_run.integrated`.
+        adjoint: of the user's.
+        max_steps: largest number of steps, for which it may lay out memory.
+    """
+    ts, theta = inputs.ts, plan.theta_of(inputs)
+    assembly, y0 = beginning(plan, theta, ts[0], plan.start_of(inputs))
+    began = start_status(inputs.values_are_legal, assembly.residual_after, y0)
     may_run = began == Status.SUCCEEDED
     # A run that is not made gets an interval of length zero.
     t1 = jnp.where(may_run, ts[-1], ts[0])
     rate = program_for(state_rate, plan.structure, plan.scalar)
     where = plan.structure, plan.scalar
     end = StepEnd(correction_for(plan), contacts_of(*where), samples_of(*where))
-    solver = _stepping(plan, options, adjoint)
+    stepper = method.controller(plan.structure)
+    solver = _stepping(plan, method.solver, getattr(stepper, "rtol", None), adjoint)
     controller: Any = LandingController  # pyright takes its fields for those of diffrax's base class
     solution = _diffeqsolve(
         diffrax.ODETerm(lambda t, y, args: rate.inside(args.theta, args.ahead, t, y)),
@@ -108,7 +106,7 @@ def integrate_through_diffrax(
         t1=t1,
         dt0=None,
         y0=y0,
-        args=Parameters(theta, rate.ahead(theta), audit_limits(plan, options, theta)),
+        args=Parameters(theta, rate.ahead(theta), method.limits(plan, theta)),
         saveat=diffrax.SaveAt(
             subs=[
                 diffrax.SubSaveAt(ts=jnp.minimum(ts, t1), fn=lambda t, y, args: end.sampled(args, t, y)),
@@ -117,7 +115,7 @@ def integrate_through_diffrax(
             solver_state=True,
         ),
         stepsize_controller=controller(
-            options.controller,
+            stepper,
             end.contacts,
             solver.interpolation_cls,
             longest_step(plan.structure, ts, scalar=plan.scalar),
@@ -126,7 +124,7 @@ def integrate_through_diffrax(
             unseen_of(plan.structure, plan.scalar, solver),
         ),
         adjoint=adjoint,
-        max_steps=options.max_steps,
+        max_steps=max_steps,
         throw=False,
     )
     saved: Any = solution.ys  # at the sample times, and at the end
@@ -136,16 +134,15 @@ def integrate_through_diffrax(
     are_finite = jnp.all(jnp.isfinite(jax.lax.stop_gradient(ys))) & jnp.all(jnp.isfinite(last))
     status = jnp.where(may_run, status_of(solution.result), began)
     status = end_status(status, reached, ts[-1], are_finite)
-    return Outcome(ys, reached, last, status, _statistics(solution, options.solver), assembly)
+    return Outcome(ys, reached, last, status, _statistics(solution, method.rest), assembly)
 
 
-def _stepping(plan: Plan, options: Options, adjoint: diffrax.AbstractAdjoint) -> Any:
+def _stepping(plan: Plan, solver: Any, rtol: Any, adjoint: diffrax.AbstractAdjoint) -> Any:
     """The method as diffrax steps it, with the loop over its stages that the adjoint can differentiate.
 
     diffrax chooses that loop itself for solvers that are not wrapped.
     """
-    solver = with_structure(options.solver, plan.structure) if plan.scalar is not False else options.solver
-    rtol = getattr(options.controller, "rtol", None)
+    solver = with_structure(solver, plan.structure) if plan.scalar is not False else solver
     solver = solver if rtol is None else with_converging_root_finder(solver, rtol, makes_own_steps=True)
     kind = "bounded" if isinstance(adjoint, diffrax.DirectAdjoint) else None
     if kind is None or not isinstance(solver, diffrax.AbstractRungeKutta) or solver.scan_kind is not None:

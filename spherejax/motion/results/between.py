@@ -19,15 +19,14 @@ from spherejax.foundations.lanes import rows_at
 from spherejax.model.system import flatten_system, split, with_laws_by_factor
 from spherejax.motion.derivatives.sensitivities import integrate_with_sensitivities
 from spherejax.motion.equations.contacts import abrupt_contacts
-from spherejax.motion.integration.asked import Asked
-from spherejax.motion.integration.integrate import Options, Plan
+from spherejax.motion.integration.method import RunMethod
+from spherejax.motion.integration.plan import Plan, RunInputs
 from spherejax.motion.integration.status import SimulationError, Status
 from spherejax.motion.results.global_error import repeated
 from spherejax.motion.results.motion_state import MotionState
 from spherejax.motion.results.steps import compared_samples, warn_where_they_part
+from spherejax.motion.settings import RunSettings
 from spherejax.motion.solvers.automatic import choose_solver
-from spherejax.motion.solvers.root_finder import with_converging_root_finder
-from spherejax.motion.start.tolerances import controller_for, tolerances_of
 
 ROUNDING = 4 * np.finfo(np.float64).eps
 """A time beyond an end of the run by this share of its times is that end: sums of steps are rounded."""
@@ -82,15 +81,15 @@ def _within(times: Float[np.ndarray, "*k"], ts: Float[np.ndarray, " n"]) -> Floa
     return np.clip(times, ts[0], ts[-1])
 
 
-def _asked_of(run: Any) -> Asked:
-    """Method and tolerances of the run."""
-    if run.asked is None:
+def _settings_of(run: Any) -> RunSettings:
+    """RunMethod and tolerances of the run."""
+    if run.settings is None:
         raise SceneError(
             "the run cannot be repeated to see its state at another time: its tolerances were traced, or a step-size "
             "controller of its own judged its steps. Simulate it once more with rtol= as a number and without "
             "stepsize_controller=, or add the time to ts"
         )
-    return run.asked
+    return run.settings
 
 
 # Of a run of numbers -------------------------------------------------------------------------------------------------
@@ -104,13 +103,13 @@ def _of_numbers(run: Any, times: Float[np.ndarray, "*k"]) -> MotionState:
     at_times = ys[np.searchsorted(ts, times)] if np.isin(times, ts).all() else _repeated_at(run, ts, ys, times)
     status = np.full(times.shape, int(Status.SUCCEEDED))
     return MotionState.of(
-        run.system, jnp.asarray(times), jnp.asarray(at_times), jnp.asarray(status), run.asked, run.scalar
+        run.system, jnp.asarray(times), jnp.asarray(at_times), jnp.asarray(status), run.settings, run.scalar
     )
 
 
 def _repeated_at(run: Any, ts: np.ndarray, ys: np.ndarray, times: np.ndarray) -> Float[np.ndarray, "*k size"]:
     """The flat states at the times, of the repeated run."""
-    asked = _asked_of(run)
+    settings = _settings_of(run)
     last = float(np.max(times))
     # The repeated run goes to the same end, and so makes the same steps: its last step ends there, and where time
     # enters the equations its longest step is a share of its length.
@@ -118,7 +117,7 @@ def _repeated_at(run: Any, ts: np.ndarray, ys: np.ndarray, times: np.ndarray) ->
     own = compared_samples(ts)
     own = own[ts[own] <= end]
     sampled = np.unique(np.concatenate([ts[:1], ts[own], times.ravel(), [end]]))
-    again = repeated(run, asked.rtol, ts=sampled)
+    again = repeated(run, settings.rtol, ts=sampled)
     places = np.searchsorted(sampled, times)
     states = np.asarray(again.ys)
     if not np.all(np.isfinite(states[places])):
@@ -148,29 +147,26 @@ def _of_traced(run: Any, times: Any) -> MotionState:
     ended = jnp.where(has_come, jnp.where(jnp.isfinite(ys).all(axis=-1), Status.SUCCEEDED, outcome_status), run.ended)
     ended = jnp.where(is_inside, ended, Status.BAD_VALUE)
     ys = jnp.where((ended == Status.SUCCEEDED)[:, None], ys, jnp.nan)
-    states = MotionState.of(run.system, wanted, ys, ended, run.asked, run.scalar)
+    states = MotionState.of(run.system, wanted, ys, ended, run.settings, run.scalar)
     if not np.ndim(times):
-        return MotionState.of(run.system, wanted[0], ys[0], ended[0], run.asked, run.scalar)
+        return MotionState.of(run.system, wanted[0], ys[0], ended[0], run.settings, run.scalar)
     # As many motions, each with its own numbers: `jax.vmap` then goes over all of them.
     k = wanted.shape[0]
     traced = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (k, *jnp.shape(leaf))), states.traced)
-    return MotionState(wanted, ys, ended, traced, states.known, states.asked, states.scalar)
+    return MotionState(wanted, ys, ended, traced, states.known, states.settings, states.scalar)
 
 
 def _sampled(run: Any, sampled: Float[Array, " n"]) -> tuple[Float[Array, "n size"], Array]:
     """The flat states of the repeated run at sample times that begin with its start, and its status."""
-    asked = _asked_of(run)
+    settings = _settings_of(run)
     seen = with_laws_by_factor(run.system)
     structure, theta = flatten_system(seen)
     known, unknown = (theta, ()) if is_concrete(theta) else split(seen)
-    solver, at_start = asked.solver, None
-    if unknown and not asked.by_name:
-        choice = choose_solver(seen, asked.rtol, explicit_only=run.scalar is False and asked.scalar is None)
+    solver, at_start = settings.solver, None
+    if unknown and not settings.is_solver_named:
+        choice = choose_solver(seen, settings.rtol, explicit_only=run.scalar is False and settings.scalar is None)
         solver, at_start = choice.solver, choice.at_start
-    tolerances = tolerances_of(run.system, asked.rtol, asked.atol)
-    controller = controller_for(structure, tolerances.rtol, tolerances.atol)
-    solver = with_converging_root_finder(solver, asked.rtol)
-    options = Options(solver, controller, asked.max_steps, None, at_start)
+    method = RunMethod.of_settings(run.system, structure, settings.replaced(solver=solver), at_start)
     values = rows_at(jnp.asarray(theta), unknown) if unknown else np.zeros(0)
     start, from_state = run.assembly, False
     if not is_concrete(start.y):
@@ -182,7 +178,6 @@ def _sampled(run: Any, sampled: Float[Array, " n"]) -> tuple[Float[Array, "n siz
             start = None  # assembled as the run's own start was
     plan = Plan(structure, unknown, run.scalar, from_state)
     is_made = (run.ended == Status.SUCCEEDED) | (run.t_reached > sampled[0])
-    outcome = integrate_with_sensitivities(
-        plan, options, values, known, sampled, start, is_made, abrupt_contacts(run.system)
-    )
+    inputs = RunInputs(values, known, sampled, start, is_made)
+    outcome = integrate_with_sensitivities(plan, method, inputs, abrupt_contacts(run.system))
     return outcome.ys, outcome.status

@@ -34,15 +34,15 @@ from spherejax.foundations.checks import is_concrete, is_tracing
 from spherejax.foundations.errors import SceneError
 from spherejax.model.system import System, flatten_by_factor
 from spherejax.motion.equations.quantities import quantity
-from spherejax.motion.integration.asked import Asked
-from spherejax.motion.integration.integrate import Options, Plan
-from spherejax.motion.integration.one_run import bound_run
+from spherejax.motion.integration.method import RunMethod
+from spherejax.motion.integration.one_run import run_of
+from spherejax.motion.integration.plan import Plan, RunInputs
 from spherejax.motion.integration.status import Status
 from spherejax.motion.results.accuracy import POSITIONS
+from spherejax.motion.settings import RunSettings
 from spherejax.motion.solvers.dop853 import Dop853
-from spherejax.motion.solvers.root_finder import with_converging_root_finder
 from spherejax.motion.solvers.rosenbrock import Rodas4P, Rodas5P
-from spherejax.motion.start.tolerances import controller_for, length_scale, rounding_floor, tolerances_of
+from spherejax.motion.start.tolerances import length_scale, rounding_floor, tolerances_of
 
 TIGHTER = 100.0
 """A companion's tolerance is this many times tighter; see the table above."""
@@ -96,18 +96,18 @@ def repeated(run: Any, rtol: float, *, solver: diffrax.AbstractSolver | None = N
     Raises:
         SceneError: for a run that cannot be repeated.
     """
-    asked = repeatable(run)
-    method = asked.solver if solver is None else solver
-    atol = None if asked.atol is None else asked.atol * rtol / asked.rtol
+    settings = repeatable(run)
+    method: Any = settings.solver if solver is None else solver
+    atol = None if settings.atol is None else settings.atol * rtol / settings.rtol
     structure, theta = flatten_by_factor(run.system)
     tolerances = tolerances_of(run.system, rtol, atol)
-    controller = controller_for(structure, tolerances.rtol, tolerances.atol)
-    max_steps = min(max(asked.max_steps, 1000 + ROOM * int(run.stats.n_steps)), int(np.iinfo(np.int64).max))
-    options = Options(with_converging_root_finder(method, rtol), controller, max_steps)
+    max_steps = min(max(settings.max_steps, 1000 + ROOM * int(run.stats.n_steps)), int(np.iinfo(np.int64).max))
+    how = RunMethod.by_tolerances(structure, method, tolerances, rtol, max_steps)
     times = _reached(run) if ts is None else np.asarray(ts, np.float64)
     plan = Plan(structure, (), run.scalar)
     theta = np.asarray(theta, np.float64)
-    outcome = bound_run(plan, options, np.zeros(0), theta, jnp.asarray(times), run.assembly, np.array(True))()
+    inputs = RunInputs(np.zeros(0), theta, jnp.asarray(times), run.assembly, np.array(True))
+    outcome = run_of(plan, how, inputs)
     return replace(
         run,
         ts=jnp.asarray(times),
@@ -116,12 +116,12 @@ def repeated(run: Any, rtol: float, *, solver: diffrax.AbstractSolver | None = N
         ended=outcome.status,
         t_reached=outcome.t_reached,
         y_reached=outcome.y_reached,
-        asked=Asked(method, rtol, atol, max_steps),
+        settings=settings.replaced(solver=method, rtol=rtol, atol=atol, max_steps=max_steps),
         accuracy=None,
     )
 
 
-def repeatable(run: Any) -> Asked:
+def repeatable(run: Any) -> RunSettings:
     """How the run was asked for; `SceneError` where it cannot be made once more."""
     if is_tracing() or not (is_concrete(run.ys) and is_concrete(run.ended)):
         raise SceneError(
@@ -133,14 +133,14 @@ def repeatable(run: Any) -> Asked:
             "the error is estimated of a single run; take one lane of the batch first, e.g. "
             "jax.tree.map(lambda leaf: leaf[0], runs)"
         )
-    if run.asked is None:
+    if run.settings is None:
         raise SceneError(
             "the error of this run cannot be estimated: its tolerances were traced, or a step-size controller of its "
             "own judged its steps. Simulate it once more with rtol= as a number and without stepsize_controller="
         )
     if len(run.ts) < 2:
         raise SceneError("a run of one instant has no error to estimate; give ts an end")
-    return run.asked
+    return run.settings
 
 
 def _reached(run: Any) -> np.ndarray:
@@ -190,7 +190,7 @@ def companion_by(run: Any, rtol: float, repeat: Repeat, by_other_method: Repeat)
 
 def _by_other_method(run: Any, rtol: float) -> Any:
     """The same at the same tolerance by a method with other errors; None where there is none."""
-    solver: Any = run.asked.solver
+    solver: Any = run.settings.solver
     if isinstance(solver, Dop853):
         other: Any = diffrax.Dopri8()
     elif isinstance(solver, Rodas5P):
@@ -235,7 +235,7 @@ class GlobalError:
         if int(companion.ended) != Status.SUCCEEDED:
             warnings.warn(
                 f"the error of the run is known until t = {float(companion.t_reached):.6g} s only; the run at rtol "
-                f"{companion.asked.rtol:.0e} that it is compared with {companion.diagnosis}",
+                f"{companion.settings.rtol:.0e} that it is compared with {companion.diagnosis}",
                 AccuracyWarning,
                 stacklevel=4,
             )
@@ -247,8 +247,8 @@ class GlobalError:
         largest = float(np.nanmax(self.positions, initial=0.0))
         return (
             f"estimated error of positions up to {largest:.1e} m, by comparison with "
-            f"{type(other.asked.solver).__name__} at rtol {other.asked.rtol:.0e}, which took {share:.1f} times the "
-            f"steps of the run"
+            f"{type(other.settings.solver).__name__} at rtol {other.settings.rtol:.0e}, which took {share:.1f} times "
+            f"the steps of the run"
         )
 
     def of(self, name: str) -> np.ndarray:
@@ -338,9 +338,9 @@ class GlobalError:
             return float(begin)
         n = math.ceil(REFINED * (end - begin) / (ts[-1] - ts[0]))
         finer = np.concatenate([ts[:at], np.linspace(begin, end, n + 1)[1:]])
-        rtol = self.run.asked.rtol
+        rtol = self.run.settings.rtol
         mine = repeated(self.run, rtol, ts=finer)
-        other = repeated(self.companion, self.companion.asked.rtol, ts=finer)
+        other = repeated(self.companion, self.companion.settings.rtol, ts=finer)
         closer = GlobalError(mine, other).first_beyond(limits)
         return float(finer[max(closer, at) - 1])
 

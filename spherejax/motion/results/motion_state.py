@@ -14,9 +14,9 @@ from spherejax.foundations.errors import SceneError, one_of
 from spherejax.model.system import System, flatten_by_factor
 from spherejax.motion.equations.observables import Observation
 from spherejax.motion.equations.quantities import at_instant, quantity
-from spherejax.motion.integration.asked import Asked
 from spherejax.motion.integration.status import REMEDIES, Status
 from spherejax.motion.results.observed import observation_of
+from spherejax.motion.settings import RunSettings
 from spherejax.physics.state import State, unpack
 
 
@@ -69,7 +69,7 @@ class MotionState(eqx.Module):
         ended: how the motion that led here ended, an integer of `Status`; from a motion that has failed none goes on.
         traced: the system's numbers that are traced, in its structure.
         known: the system's other numbers (static).
-        asked: method and tolerances (static); None where they were traced, or of the user's own.
+        settings: method and tolerances (static); None where they were traced, or of the user's own.
         scalar: whether scalar programs are used (static); None: those that are not too large.
     """
 
@@ -78,11 +78,13 @@ class MotionState(eqx.Module):
     ended: Int[Array, ""]
     traced: Any
     known: KnownNumbers = eqx.field(static=True)
-    asked: Asked | None = eqx.field(static=True)
+    settings: RunSettings | None = eqx.field(static=True)
     scalar: bool | None = eqx.field(static=True)
 
     @classmethod
-    def of(cls, system: System, t: Any, y: Any, ended: Any, asked: Asked | None, scalar: bool | None) -> "MotionState":
+    def of(
+        cls, system: System, t: Any, y: Any, ended: Any, settings: RunSettings | None, scalar: bool | None
+    ) -> "MotionState":
         """The state of a system.
 
         Args:
@@ -90,12 +92,12 @@ class MotionState(eqx.Module):
             t: time [s].
             y: flat state.
             ended: integer of `Status`.
-            asked: method and tolerances.
+            settings: method and tolerances.
             scalar: whether scalar programs are used.
         """
         known = KnownNumbers.of(system)
         traced = [None if is_concrete(leaf) else leaf for leaf in jax.tree.leaves(system)]
-        return cls(t, y, ended, jax.tree.unflatten(known.tree, traced), known, asked, scalar)
+        return cls(t, y, ended, jax.tree.unflatten(known.tree, traced), known, settings, scalar)
 
     @property
     def system(self) -> System:

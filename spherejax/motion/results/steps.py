@@ -8,24 +8,25 @@ tolerances, from the same start. That the repeated motion is the same is tested 
 import warnings
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.errors import SceneError
+from spherejax.foundations.types import Flag
 from spherejax.model.system import Structure, System, flatten_by_factor
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for
-from spherejax.motion.integration.asked import Asked
-from spherejax.motion.integration.integrate import Parameters
-from spherejax.motion.integration.jobs import JobKind, RunNumbers, audit_limits
+from spherejax.motion.integration.jobs import JobKind, RunNumbers
 from spherejax.motion.integration.lanes import LaneOutcome, StepLog, steps_in_lanes
+from spherejax.motion.integration.method import RunMethod
+from spherejax.motion.integration.plan import Parameters, Plan
 from spherejax.motion.integration.row_blocks import in_blocks
 from spherejax.motion.integration.status import Status
 from spherejax.motion.integration.widths import block_for
-from spherejax.motion.start.tolerances import component_tolerances
+from spherejax.motion.settings import RunSettings
 from spherejax.physics.state import unpack
 from spherejax.program_cache import cached_jit
 
@@ -80,13 +81,13 @@ class Steps(NamedTuple):
 
 
 def steps_of(
-    system: System, asked: Asked | None, ts, ys, n_accepted: int, t_reached: float, scalar: bool | None
+    system: System, settings: RunSettings | None, ts, ys, n_accepted: int, t_reached: float, scalar: bool | None
 ) -> Steps:
     """The steps of a run.
 
     Args:
         system: what was run, with concrete numbers.
-        asked: how; None where that is not known.
+        settings: how; None where that is not known.
         ts, ys: its samples, the first one the start.
         n_accepted: how many steps it made.
         t_reached: how far it came [s]; steps beyond are not told.
@@ -99,22 +100,16 @@ def steps_of(
         raise SceneError(
             "steps are told of a single run, outside of jit and vmap; take one lane, or record peaks by sj.sweep"
         )
-    asked = repeatable(asked)
+    settings = repeatable(settings)
     structure, theta = flatten_by_factor(system)
-    limits = audit_limits(system, asked.rtol, asked.solver)
-    atol, rtol = asked.atol, asked.rtol
-    tolerances = component_tolerances(system, rtol) if atol is None else None
-    pair = (rtol, atol) if tolerances is None else (tolerances.rtol, tolerances.atol)
-    arrays, solver = eqx.partition(asked.solver, eqx.is_array)
+    plan, method = Plan(structure, (), scalar), RunMethod.of_settings(system, structure, settings)
     told, times, places = _compared(np.asarray(ts, float))
-    kind = JobKind(structure, scalar, solver)
     y0 = jnp.asarray(ys[0])
+    again = Repetition(method, jnp.asarray(theta), y0, times[jnp.array([0, -1])], jnp.array(True))
     capacity = room_for_steps(n_accepted)
     while True:
         _refuse_too_many(capacity, y0.size)
-        outcome, log = repeated_in_steps(
-            kind, capacity, arrays, pair, np.asarray(asked.max_steps), jnp.asarray(theta), limits, y0, times
-        )
+        outcome, log = repeated_in_steps(plan, capacity, again, times)
         n = int(outcome.n_accepted[0])
         if n <= capacity:
             break
@@ -127,27 +122,46 @@ def steps_of(
     return Steps(float(times[0]), np.asarray(y0), ends[:, -1], states[:, -1], ends[:, :-1], states[:, :-1])
 
 
+class Repetition(NamedTuple):
+    """A run that is made once more.
+
+    Attributes:
+        method: as it was made.
+        theta: all numbers of its system.
+        y0: flat state at its start.
+        ends: times of its start and end [s].
+        is_made: whether there is a run to repeat.
+    """
+
+    method: RunMethod
+    theta: Float[Array, " p"]
+    y0: Float[Array, " size"]
+    ends: Float[Array, "2"]
+    is_made: Flag
+
+
 @cached_jit(what="the steps of a run")
 def repeated_in_steps(
-    kind: JobKind, capacity: int, arrays, tolerances, budget, theta, limits, y0, ts, is_made=True
+    plan: Plan, capacity: int, again: Repetition, ts: Float[Array, " n"]
 ) -> tuple[LaneOutcome, StepLog]:
     """A run from a state, with a row for each of its first `capacity` steps; its sample times are at least three."""
-    rate = program_for(state_rate, kind.structure, kind.scalar)
-    numbers = RunNumbers(Parameters(theta, rate.ahead(theta)), None, None, limits)
-    problem = kind.problem(ts, (arrays, tolerances, budget))
-    own, first = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], (numbers, y0))
-    may_run, status = jnp.broadcast_to(is_made, (1,)), jnp.full(1, Status.SUCCEEDED, jnp.int64)
+    method, theta = again.method, again.theta
+    rate = program_for(state_rate, plan.structure, plan.scalar)
+    numbers = RunNumbers(Parameters(theta, rate.ahead(theta)), None, method.own_tolerances, method.limits(plan, theta))
+    problem = JobKind.of(plan, method).problem(ts, method.shared)
+    own, first = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], (numbers, again.y0))
+    may_run, status = jnp.broadcast_to(again.is_made, (1,)), jnp.full(1, Status.SUCCEEDED, jnp.int64)
     return steps_in_lanes(problem, own, first, ts, may_run, status, block_for(), capacity, SHARES)
 
 
-def repeatable(asked: Asked | None) -> Asked:
+def repeatable(settings: RunSettings | None) -> RunSettings:
     """How the run was integrated; `SceneError` where it cannot be repeated so."""
-    if asked is None:
+    if settings is None:
         raise SceneError(
             "the steps of this run cannot be told: its tolerances were traced, or a step-size controller of its own "
             "judged them. Simulate it once more with rtol= as a number and without stepsize_controller="
         )
-    return asked
+    return settings
 
 
 def room_for_steps(n: int) -> int:

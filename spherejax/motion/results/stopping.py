@@ -26,11 +26,11 @@ from spherejax.foundations.forms import real_number
 from spherejax.foundations.types import Flag, Scalar
 from spherejax.motion.equations.programs import program_for
 from spherejax.motion.equations.quantities import quantity, values_of
-from spherejax.motion.integration.jobs import JobKind
+from spherejax.motion.integration.plan import Plan
 from spherejax.motion.integration.status import Status
 from spherejax.motion.results.between import states_at
 from spherejax.motion.results.motion_state import MotionState
-from spherejax.motion.results.steps import SHARES, repeated_in_steps, room_for_steps
+from spherejax.motion.results.steps import SHARES, Repetition, repeated_in_steps, room_for_steps
 from spherejax.motion.results.traced_steps import COEFFICIENTS, NODES, refusing, repetition_of, seen_at_steps
 from spherejax.program_cache import cached_jit
 
@@ -131,28 +131,28 @@ def stopped(run: Any, conditions: tuple[When, ...]) -> Any:
 
 def _bracket(run: Any, conditions: tuple[When, ...], steps: int, are_known: bool) -> _Bracket:
     """Of a single run; no derivative passes, and `jax.vmap` of it is a loop."""
-    kind, numbers = repetition_of(run)
+    plan, again = repetition_of(run)
     names, risings = tuple(c.what for c in conditions), tuple(c.rising for c in conditions)
     levels = jnp.stack([jnp.asarray(c.level, jnp.float64) for c in conditions])
-    look: Any = partial(_crossed, kind, names, risings, steps)
+    look: Any = partial(_crossed, plan, names, risings, steps)
     if not are_known:
         look = jax.custom_batching.sequential_vmap(look)
-    return look(*jax.lax.stop_gradient(jax.tree.map(jnp.asarray, (*numbers, levels))))
+    return look(*jax.lax.stop_gradient(jax.tree.map(jnp.asarray, (again, levels))))
 
 
 @cached_jit(what="where a run ends")
 def _crossed(
-    kind: JobKind, names: tuple, risings: tuple, steps: int, arrays, pair, budget, theta, limits, y0, ends, is_made,
-    levels,
-) -> _Bracket:  # fmt: skip
+    plan: Plan, names: tuple, risings: tuple, steps: int, again: Repetition, levels: Float[Array, " c"]
+) -> _Bracket:
+    theta, y0, ends = again.theta, again.y0, again.ends
     begin = ends[0]
     times = jnp.stack([begin, (begin + ends[1]) / 2, ends[1]])
-    outcome, log = repeated_in_steps(kind, steps, arrays, pair, budget, theta, limits, y0, times, is_made)
+    outcome, log = repeated_in_steps(plan, steps, again, times)
     n = outcome.n_accepted[0]
     k = len(SHARES) + 1
     times = jnp.concatenate([begin[None], log.times[0].ravel()])
     states = jnp.concatenate([y0[None], log.states[0].reshape(steps * k, -1)])
-    program = program_for(values_of(names), kind.structure, kind.scalar, is_quiet=True)
+    program = program_for(values_of(names), plan.structure, plan.scalar, is_quiet=True)
     seen = seen_at_steps(lambda t, y: program(theta, t, y), len(names), times, states, 1 + n * k)
     above = seen - levels
     is_there = jnp.arange(1, times.shape[0]) < 1 + n * k

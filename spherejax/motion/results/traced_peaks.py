@@ -25,10 +25,10 @@ from spherejax.foundations.numerics import safe_norm
 from spherejax.foundations.types import Flag, Scalar
 from spherejax.motion.equations.programs import program_for
 from spherejax.motion.equations.quantities import quantity
-from spherejax.motion.integration.jobs import JobKind
+from spherejax.motion.integration.plan import Plan
 from spherejax.motion.results.between import states_at
 from spherejax.motion.results.impacts import FINE_WEIGHTS, LARGEST_RISE, Peak, magnitudes_of
-from spherejax.motion.results.steps import SHARES, repeated_in_steps
+from spherejax.motion.results.steps import SHARES, Repetition, repeated_in_steps
 from spherejax.motion.results.traced_steps import COEFFICIENTS, NODES, refusing, repetition_of, seen_at_steps
 
 FLAT = 1e-3
@@ -105,19 +105,20 @@ def _where(run: Any, name: str, steps: int) -> _Step:
     """The step that has the peak; no derivative passes, and `jax.vmap` of it is a loop."""
     if not isinstance(steps, int) or steps < 1:
         raise SceneError(f"steps = {steps!r} must be a whole number, the largest number of steps that the run may have")
-    kind, numbers = repetition_of(run)
-    look = jax.custom_batching.sequential_vmap(partial(_looked, kind, quantity(name, run.system).name, steps))
-    return look(*jax.lax.stop_gradient(jax.tree.map(jnp.asarray, numbers)))
+    plan, again = repetition_of(run)
+    look = jax.custom_batching.sequential_vmap(partial(_looked, plan, quantity(name, run.system).name, steps))
+    return look(jax.lax.stop_gradient(jax.tree.map(jnp.asarray, again)))
 
 
-def _looked(kind: JobKind, name: str, steps: int, arrays, pair, budget, theta, limits, y0, ends, is_made) -> _Step:
+def _looked(plan: Plan, name: str, steps: int, again: Repetition) -> _Step:
+    theta, y0, ends = again.theta, again.y0, again.ends
     begin = ends[0]
     times = jnp.stack([begin, (begin + ends[1]) / 2, ends[1]])  # a run of two samples has no states within steps
-    outcome, log = repeated_in_steps(kind, steps, arrays, pair, budget, theta, limits, y0, times, is_made)
+    outcome, log = repeated_in_steps(plan, steps, again, times)
     n = outcome.n_accepted[0]
     times, states = log.times[0], log.states[0]
     k = len(SHARES) + 1
-    program = program_for(magnitudes_of((name,)), kind.structure, kind.scalar, is_quiet=True)
+    program = program_for(magnitudes_of((name,)), plan.structure, plan.scalar, is_quiet=True)
 
     def see(t, y):
         return program(theta, t, y)

@@ -15,10 +15,10 @@ from jaxtyping import Array, Float
 
 from spherejax.foundations.types import Flag, Scalar
 from spherejax.model.system import flatten_by_factor
-from spherejax.motion.integration.jobs import JobKind, audit_limits
+from spherejax.motion.integration.method import RunMethod
+from spherejax.motion.integration.plan import Plan
 from spherejax.motion.integration.status import Status
-from spherejax.motion.results.steps import repeatable
-from spherejax.motion.start.tolerances import component_tolerances
+from spherejax.motion.results.steps import Repetition, repeatable
 
 NODES = tuple((np.polynomial.legendre.leggauss(8)[0] + 1) / 2)
 """Shares of a step at which the quantity is taken with its derivatives. The state within a step is a polynomial of
@@ -32,22 +32,17 @@ SEEN_AT_ONCE = 64
 """States of steps that are looked at in one turn of a loop, which ends behind the last step."""
 
 
-def repetition_of(run: Any) -> tuple[JobKind, tuple]:
-    """What `steps.repeated_in_steps` needs to repeat a single run: static, and its arrays.
+def repetition_of(run: Any) -> tuple[Plan, Repetition]:
+    """What `steps.repeated_in_steps` needs to repeat a single run.
 
-    The arrays are those of the solver, the tolerances, the largest number of steps, the numbers of the system, the
-    limits of the audit, the state at the start, the times of start and end, and whether there is a run to repeat.
+    Raises:
+        SceneError: for a run that cannot be repeated.
     """
-    asked = repeatable(run.asked)
     structure, theta = flatten_by_factor(run.system)
-    limits = audit_limits(run.system, asked.rtol, asked.solver)
-    tolerances = component_tolerances(run.system, asked.rtol) if asked.atol is None else None
-    pair = (asked.rtol, asked.atol) if tolerances is None else (tolerances.rtol, tolerances.atol)
-    arrays, solver = eqx.partition(asked.solver, eqx.is_array)
+    method = RunMethod.of_settings(run.system, structure, repeatable(run.settings))
     ends = jnp.asarray(run.ts)[jnp.array([0, -1])]
     is_made = (run.ended == Status.SUCCEEDED) | (run.t_reached > ends[0])
-    numbers = arrays, pair, np.asarray(asked.max_steps), jnp.asarray(theta), limits, run.ys[0], ends, is_made
-    return JobKind(structure, run.scalar, solver), numbers
+    return Plan(structure, (), run.scalar), Repetition(method, jnp.asarray(theta), run.ys[0], ends, is_made)
 
 
 def seen_at_steps(

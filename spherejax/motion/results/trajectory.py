@@ -1,5 +1,6 @@
 """The result of a run: times, states, observables, statistics, and how it ended."""
 
+import warnings
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -15,7 +16,6 @@ from spherejax.foundations.errors import SceneError
 from spherejax.model.system import System, flatten_by_factor
 from spherejax.motion.equations.observables import Observation
 from spherejax.motion.equations.quantities import quantity
-from spherejax.motion.integration.asked import Asked
 from spherejax.motion.integration.audit import CHECKS, NOT_MADE, cautions, findings, parts_with_a_range, suspects
 from spherejax.motion.integration.not_finite import not_finite_part
 from spherejax.motion.integration.statistics import Statistics
@@ -33,6 +33,7 @@ from spherejax.motion.results.reported import Reported
 from spherejax.motion.results.spectra import spectrum
 from spherejax.motion.results.steps import Steps, steps_of
 from spherejax.motion.results.traced_peaks import traced_peak
+from spherejax.motion.settings import RunSettings
 from spherejax.motion.start.assembly import Assembly
 from spherejax.motion.start.redundancy import (
     ConstraintReport,
@@ -69,7 +70,7 @@ class Trajectory(eqx.Module, Reported):
         assembly: how the start was made consistent.
         choice: which method was used, and why.
         scalar: whether scalar programs are used; None: those that are not too large.
-        asked: with which method and tolerances it was asked for; None where they were traced, or of the user's own.
+        settings: with which method and tolerances it was asked for; None where they were traced, or of the user's own.
         accuracy: what `accuracy=` asked for and what came of it; None where it was not given.
         is_continued: whether it began with the end of another motion (static).
         stopped_by: index of the condition of `until=` that ended it, -1 where none was met; None without conditions.
@@ -85,7 +86,7 @@ class Trajectory(eqx.Module, Reported):
     assembly: Assembly
     choice: str = eqx.field(static=True)
     scalar: bool | None = eqx.field(static=True)
-    asked: Asked | None = eqx.field(static=True, default=None)
+    settings: RunSettings | None = eqx.field(static=True, default=None)
     accuracy: Accuracy | None = None
     is_continued: bool = eqx.field(static=True, default=False)
     stopped_by: Int[Array, ""] | None = None
@@ -252,7 +253,13 @@ class Trajectory(eqx.Module, Reported):
             # Known times stay known: runs that share them go on side by side.
             if is_concrete(self.ts) and not np.ndim(self.ended):
                 t = np.asarray(self.ts)[-1]
-        return MotionState.of(self.system, t, y, self.ended, self.asked, self.scalar)
+        return MotionState.of(self.system, t, y, self.ended, self.settings, self.scalar)
+
+    @property
+    def asked(self) -> RunSettings | None:
+        """The earlier name of `settings`."""
+        warnings.warn("run.asked is called run.settings now", DeprecationWarning, stacklevel=2)
+        return self.settings
 
     def at(self, t: Float[Array | np.ndarray, "*k"] | float) -> MotionState:
         """The state at any time of the run, or at many, e.g. `run.at(0.123).position("rocker")`.
@@ -494,7 +501,7 @@ class Trajectory(eqx.Module, Reported):
     def _steps(self) -> Steps:
         n = np.asarray(self.stats.n_accepted) if is_concrete(self.stats.n_accepted) else 0
         reached = float(self.t_reached) if is_concrete(self.t_reached) and not np.ndim(self.t_reached) else np.nan
-        return steps_of(self.system, self.asked, self.ts, self.ys, int(np.max(n)), reached, self.scalar)
+        return steps_of(self.system, self.settings, self.ts, self.ys, int(np.max(n)), reached, self.scalar)
 
     def impacts(self, joint: str) -> "xarray.Dataset":
         """Each contact of a joint: onset, release, approach speed, peaks, impulse, energy lost, place.

@@ -31,10 +31,10 @@ def accurate(run: Any, limits: Limits) -> Any:
         `Status.INACCURATE`. A run that fails keeps its own status.
     """
     floor, n_steps, best = floor_of(run.system), 0, None
-    max_steps = run.asked.max_steps
+    max_steps = run.settings.max_steps
     while int(run.ended) == Status.SUCCEEDED and int(run.stats.n_steps) <= max_steps:
         # Companions may make more steps than the caller allows for a run; the run that is returned may not.
-        run = replace(run, asked=replace(run.asked, max_steps=max_steps))
+        run = replace(run, settings=replace(run.settings, max_steps=max_steps))
         known = run.global_error
         errors = _largest(known, limits)
         excess = float(np.max(errors / [limit for _, limit in limits]))
@@ -45,7 +45,7 @@ def accurate(run: Any, limits: Limits) -> Any:
             return _told(found)
         if best is None or float(found.accuracy.until) >= float(best.accuracy.until):
             best = found
-        rtol = run.asked.rtol
+        rtol = run.settings.rtol
         if rtol <= floor * (1 + 1e-9):
             break
         # An error that is not known, or as large as the motion, says nothing but that it is too large.
@@ -67,15 +67,17 @@ def _largest(known: GlobalError, limits: Limits) -> np.ndarray:
 
 def _is_next(companion: Any, target: float, run: Any) -> bool:
     """Whether the companion is the run that is to be made."""
-    same = type(companion.asked.solver) is type(run.asked.solver) and len(companion.ts) == len(run.ts)
-    return same and int(companion.ended) == Status.SUCCEEDED and abs(companion.asked.rtol / target - 1) < 1e-6
+    same = type(companion.settings.solver) is type(run.settings.solver) and len(companion.ts) == len(run.ts)
+    return same and int(companion.ended) == Status.SUCCEEDED and abs(companion.settings.rtol / target - 1) < 1e-6
 
 
 def _accuracy(run: Any, limits: Limits, errors: np.ndarray, until: float, n_steps: int) -> Accuracy:
     names = tuple(name for name, _ in limits)
     units = tuple(unit_of(name, run.system) for name in names)
     allowed = np.array([limit for _, limit in limits])
-    return Accuracy(names, units, allowed, errors, np.asarray(until), np.asarray(run.asked.rtol), np.asarray(n_steps))
+    return Accuracy(
+        names, units, allowed, errors, np.asarray(until), np.asarray(run.settings.rtol), np.asarray(n_steps)
+    )
 
 
 def _told(run: Any, known: Any = None) -> Any:

@@ -16,7 +16,8 @@ from spherejax.motion.integration.status import SimulationError, Status
 from spherejax.motion.results.motion_state import MotionState
 from spherejax.motion.results.trajectory import Trajectory
 from spherejax.motion.runs.scene_cache import PreparedScene, prepared, prepared_system
-from spherejax.motion.runs.simulate import CarriedStart, call_of, check_tolerances, checked_times, read_once, reported
+from spherejax.motion.runs.simulate import CarriedStart, call_of, checked_times, read_once, reported
+from spherejax.motion.settings import DEFAULT_MAX_STEPS, RunSettings
 from spherejax.motion.start.seam import carried_state
 from spherejax.runtime import require_float64
 
@@ -76,17 +77,19 @@ def continue_from(
     """
     require_float64()
     state = run.end if isinstance(run, Trajectory) else run
-    options = rtol, atol, solver, stepsize_controller, adjoint, derivative_rtol, max_steps
     with read_once(), captures_explained([] if scene is None else [scene]):
         prepared_scene, start = _start(state, scene)
-        continued = made_from(state, prepared_scene, start, _times_from(ts, state, start), *options)
+        settings = _settings_from(
+            state, rtol, atol, solver, stepsize_controller, adjoint, derivative_rtol, max_steps
+        ).checked()
+        continued = _made_from(state, prepared_scene, start, _times_from(ts, state, start), settings)
     return reported(continued, throw)
 
 
 def _start(state: Any, scene: Scene | None) -> tuple[PreparedScene, CarriedStart]:
     """What is simulated, and its start."""
     refuse_failed(state)
-    scalar = state.scalar if state.asked is None else state.asked.scalar
+    scalar = state.scalar if state.settings is None else state.settings.scalar
     before = state.system
     if scene is None:
         return prepared_system(before, scalar), CarriedStart(state.y, np.zeros(()), reached(state))
@@ -145,29 +148,35 @@ def _times_from(ts: Any, state: MotionState, start: CarriedStart) -> Any:
     return jnp.asarray(np.concatenate([[end], samples]))
 
 
-def made_from(
-    state: MotionState, prepared_scene: PreparedScene, start: CarriedStart, ts: Any, rtol: Any, atol: Any, solver: Any,
-    stepsize_controller: Any, adjoint: Any, derivative_rtol: Any, max_steps: Any,
-) -> Trajectory:  # fmt: skip
-    """The run from a start; method and tolerances are those of the state where an argument is None."""
-    asked = state.asked
-    if rtol is None:
-        if asked is None:
-            raise SceneError(
-                "the tolerances of this run were traced, or a step-size controller of its own judged its steps: give "
-                "rtol= (and solver=) to go on"
-            )
-        rtol = asked.rtol
-    atol = asked.atol if atol is None and asked is not None else atol
-    if solver is None and asked is not None and asked.by_name:
-        solver = asked.solver
-    if max_steps is None:
-        max_steps = DEFAULT_MAX_STEPS if asked is None else asked.max_steps
-    scalar = state.scalar if asked is None else asked.scalar
-    check_tolerances(rtol, atol, derivative_rtol)
-    call = call_of(
-        prepared_scene, start, ts, rtol, atol, solver, stepsize_controller, adjoint, derivative_rtol, max_steps, scalar
+def _settings_from(
+    state: MotionState, rtol, atol, solver, stepsize_controller, adjoint, derivative_rtol, max_steps
+) -> RunSettings:
+    """How a motion goes on: method and tolerances are those of the state where an argument is None."""
+    before = state.settings
+    if rtol is None and before is None:
+        raise SceneError(
+            "the tolerances of this run were traced, or a step-size controller of its own judged its steps: give "
+            "rtol= (and solver=) to go on"
+        )
+    if before is None:
+        before = RunSettings(max_steps=DEFAULT_MAX_STEPS, scalar=state.scalar)
+    return RunSettings(
+        before.rtol if rtol is None else rtol,
+        before.atol if atol is None else atol,
+        before.solver if solver is None and before.is_solver_named else solver,
+        stepsize_controller,
+        adjoint,
+        derivative_rtol,
+        before.max_steps if max_steps is None else max_steps,
+        scalar=before.scalar,
     )
+
+
+def _made_from(
+    state: MotionState, prepared_scene: PreparedScene, start: CarriedStart, ts: Any, settings: RunSettings
+) -> Trajectory:
+    """The run from a start."""
+    call = call_of(prepared_scene, start, ts, settings)
     run = call.run()
     if is_concrete(state.ended):
         return run
@@ -178,7 +187,3 @@ def made_from(
         ys=jnp.where(has_come, run.ys, jnp.nan),
         t_reached=jnp.where(has_come, run.t_reached, state.t),
     )
-
-
-DEFAULT_MAX_STEPS = 20_000_000
-"""Of `sj.simulate`."""

@@ -17,7 +17,6 @@ from jaxtyping import Array, Float, Int
 from spherejax.foundations.behind_tracers import LOOKS, place_of
 from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.errors import SceneError
-from spherejax.foundations.forms import whole_number
 from spherejax.foundations.types import Numeric
 from spherejax.model.captured import captures_explained
 from spherejax.model.scene import Scene
@@ -32,10 +31,11 @@ from spherejax.motion.integration.status import OutOfRangeWarning, Status
 from spherejax.motion.integration.widths import block_for
 from spherejax.motion.results.many_sensitivities import RunSlopes, slopes_of
 from spherejax.motion.results.trajectory import Trajectory
-from spherejax.motion.runs.batch_setup import LaneMethod, PreparedRuns
-from spherejax.motion.runs.simulate import ENOUGH_STEPS, check_tolerances, checked_times, choice_for
+from spherejax.motion.runs.batch_setup import BatchSettings, PreparedRuns
+from spherejax.motion.runs.simulate import checked_times, choice_for
 from spherejax.motion.runs.traced_functions import Build, built, known_build
-from spherejax.motion.solvers.automatic import stiffest
+from spherejax.motion.settings import DEFAULT_MAX_STEPS, RunSettings
+from spherejax.motion.solvers.automatic import SolverChoice, stiffest
 from spherejax.motion.start.start_now import StartWarning, changed_starts
 from spherejax.program_cache import cached_jit
 from spherejax.program_cache.user_code import read_once
@@ -79,7 +79,7 @@ def simulate_many(
     rtol: float = 1e-8,
     atol: float | None = None,
     solver: diffrax.AbstractSolver | None = None,
-    max_steps: int = 20_000_000,
+    max_steps: int = DEFAULT_MAX_STEPS,
     track_work: bool = False,
     watch: tuple[str, ...] = (),
     by: tuple[str, ...] = (),
@@ -112,19 +112,21 @@ def simulate_many(
     """
     require_float64()
     ts = checked_times(ts)
-    check_tolerances(rtol, atol, derivative_rtol)
-    max_steps = whole_number("max_steps", max_steps, ENOUGH_STEPS)
+    settings = RunSettings(
+        rtol, atol, solver, derivative_rtol=derivative_rtol, max_steps=max_steps, track_work=track_work
+    ).checked()
     n_runs = count_of_runs(parameters)
     if not all(map(is_concrete, jax.tree.leaves((parameters, ts)))):
         parameters, ts = without_derivative((parameters, ts), NO_DERIVATIVE_OF_MANY)
     with read_once():
-        method = method_for(build, parameters, rtol, atol, solver, max_steps, track_work, block or block_for())
-        method = with_sensitivities(method._replace(watch=tuple(watch)), tuple(by), parameters, derivative_rtol)
+        check_parameters(tuple(by), parameters, derivative_rtol)
+        batch = batch_settings(build, parameters, settings, block or block_for())
+        batch = batch._replace(watch=tuple(watch), by=tuple(by))
         warn_of_starts(build, parameters, ts)
-        check_sensitivities(build, method, parameters)
+        check_sensitivities(build, batch, parameters)
         one = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(np.shape(leaf)[1:], jnp.result_type(leaf)), parameters)
-        build = known_build(build, one, track_work, method.by)
-        runs = many(build, method, parameters, jnp.asarray(ts), jnp.ones(n_runs, bool))
+        build = known_build(build, one, track_work, batch.by)
+        runs = many(build, batch, parameters, jnp.asarray(ts), jnp.ones(n_runs, bool))
     stats, status = runs.trajectories.stats, runs.trajectories.status
     if is_concrete(stats.audit) and (said := cautions(np.asarray(stats.audit)[np.asarray(status) == Status.SUCCEEDED])):
         warnings.warn(said, OutOfRangeWarning, stacklevel=2)
@@ -146,22 +148,29 @@ def count_of_runs(parameters: Any) -> int:
     return lengths.pop()[0]
 
 
-def method_for(build, parameters, rtol, atol, solver, max_steps, track_work, block) -> LaneMethod:
-    """The method for all runs; a stiff one when one of the runs that are looked at asks for it."""
-    if solver is not None:
-        return LaneMethod(choice_for(None, rtol, solver), rtol, atol, max_steps, track_work, block)
+def batch_settings(build: Build, parameters: Any, settings: RunSettings, block: Block) -> BatchSettings:
+    """How all runs are integrated; by a stiff method when one of the runs that are looked at asks for it."""
+    choice = _choice_for_all(build, parameters, settings)
+    runs = settings.replaced(solver=choice.solver, is_solver_named=settings.solver is not None)
+    return BatchSettings(runs, choice.reason, block)
+
+
+def _choice_for_all(build: Build, parameters: Any, settings: RunSettings) -> SolverChoice:
+    if settings.solver is not None:
+        return choice_for(None, settings.rtol, settings.solver)
     n_runs = count_of_runs(parameters)
     choices, problem = [], None
     for run in sorted({place_of(look, n_runs) for look in LOOKS}):
         try:
             scene = built(build, jax.tree.map(lambda leaf, run=run: np.asarray(leaf)[run], parameters))
-            choices.append(choice_for(compile_scene(scene, track_work=track_work).system, rtol, None))
+            system = compile_scene(scene, track_work=settings.track_work).system
+            choices.append(choice_for(system, settings.rtol, None))
         except SceneError as error:
             problem = error
     if not choices:
         assert problem is not None
         raise problem
-    return LaneMethod(stiffest(choices), rtol, atol, max_steps, track_work, block)
+    return stiffest(choices)
 
 
 def in_words(parameters: dict[str, Any]) -> str:
@@ -184,21 +193,17 @@ def warn_of_starts(build: Build, parameters: Any, ts: Numeric) -> None:
         warnings.warn(change + at, StartWarning, stacklevel=3)
 
 
-def with_sensitivities(
-    method: LaneMethod, by: tuple[str, ...], parameters: Any, derivative_rtol: float | None
-) -> LaneMethod:
-    """The method with sensitivities by some of the parameters, of a tolerance of their own where one is given.
+def check_parameters(by: tuple[str, ...], parameters: Any, derivative_rtol: float | None) -> None:
+    """Refuse sensitivities by what is no parameter, and a tolerance of none.
 
     Raises:
-        SceneError: for a name that is no parameter, a method that cannot integrate them, a tolerance of nothing.
+        SceneError: naming the parameter, or the tolerance.
     """
-    if not by:
-        if derivative_rtol is not None:
-            raise SceneError(
-                f"derivative_rtol = {derivative_rtol:.3g} is for sensitivities, and none is recorded; record "
-                'sj.Sensitivity(...) or "sensitivity final position.BODY", or leave it out'
-            )
-        return method
+    if not by and derivative_rtol is not None:
+        raise SceneError(
+            f"derivative_rtol = {derivative_rtol:.3g} is for sensitivities, and none is recorded; record "
+            'sj.Sensitivity(...) or "sensitivity final position.BODY", or leave it out'
+        )
     names = list(parameters) if isinstance(parameters, dict) else []
     for name in by:
         if name not in names:
@@ -206,31 +211,30 @@ def with_sensitivities(
             raise SceneError(f"sensitivities by {name!r}: no such parameter; there are {known}")
         if np.ndim(parameters[name]) != 1:
             raise SceneError(f"sensitivities by {name!r}: it must be one number for each run")
-    return method._replace(by=by, derivative_rtol=None if derivative_rtol is None else float(derivative_rtol))
 
 
-def check_sensitivities(build: Build, method: LaneMethod, parameters: Any) -> None:
+def check_sensitivities(build: Build, settings: BatchSettings, parameters: Any) -> None:
     """Refuse or doubt the sensitivities of runs, as `check_derivatives`; the runs of `LOOKS` are looked at.
 
     Parameters that are traced are not looked at.
     """
-    if not method.by or not all(map(is_concrete, jax.tree.leaves(parameters))):
+    if not settings.by or not all(map(is_concrete, jax.tree.leaves(parameters))):
         return
     n_runs = count_of_runs(parameters)
     abrupt: dict[str, None] = {}
     for run in sorted({place_of(look, n_runs) for look in LOOKS}):
         scene = built(build, jax.tree.map(lambda leaf, run=run: np.asarray(leaf)[run], parameters))
         try:
-            system = compile_scene(scene, track_work=method.track_work).system
+            system = compile_scene(scene, track_work=settings.runs.track_work).system
         except SceneError:  # this run will have the status of a bad value
             continue
         any_jump(system)
         abrupt |= dict.fromkeys(abrupt_contacts(system))
-    warn_of_rosenbrock(abrupt, method.choice.solver, 3)
+    warn_of_rosenbrock(abrupt, settings.runs.solver, 3)
 
 
 @cached_jit(what="runs in lanes")
-def many(build: Build, method: LaneMethod, parameters, ts, is_wanted) -> Runs:
+def many(build: Build, settings: BatchSettings, parameters, ts, is_wanted) -> Runs:
     """`simulate_many` with everything decided; runs that are not wanted are not made."""
     scenes: list[Scene] = []
 
@@ -239,17 +243,17 @@ def many(build: Build, method: LaneMethod, parameters, ts, is_wanted) -> Runs:
         return scenes[0]
 
     with captures_explained(scenes):
-        return _many(PreparedRuns(scene_of, method, ts), parameters, is_wanted)
+        return _many(PreparedRuns(scene_of, settings, ts), parameters, is_wanted)
 
 
 def _many(prepared: PreparedRuns, parameters, is_wanted) -> Runs:
-    method, ts = prepared.method, prepared.ts
+    settings, ts = prepared.settings, prepared.ts
     starts: Any = jax.vmap(prepared.start)(parameters)
     may_run = starts.may_run & is_wanted
-    outcome = run_in_lanes(prepared.problem(), starts.numbers, starts.y0, ts, may_run, starts.status, method.block)
+    outcome = run_in_lanes(prepared.problem(), starts.numbers, starts.y0, ts, may_run, starts.status, settings.block)
     slopes = None
-    if method.by:
-        scale = scales_of(jnp.stack([parameters[name] for name in method.by], axis=1))
+    if settings.by:
+        scale = scales_of(jnp.stack([parameters[name] for name in settings.by], axis=1))
         slopes = slopes_of(starts.numbers.slopes, scale, outcome.ys)
         outcome = outcome._replace(ys=outcome.ys[:, :, 0], y_reached=outcome.y_reached[:, 0])
     runs = jax.vmap(prepared.trajectory)(starts, outcome._replace(n_lane_steps=jnp.zeros(is_wanted.shape)))

@@ -13,14 +13,14 @@ from spherejax.foundations.errors import SceneError
 from spherejax.model.scene import Scene
 from spherejax.model.system import System, compile_scene, flatten_system
 from spherejax.motion.equations.programs import path_of
-from spherejax.motion.integration.integrate import Options, Plan, initial_state
+from spherejax.motion.integration.method import RunMethod
 from spherejax.motion.integration.one_run import run_of
+from spherejax.motion.integration.plan import Plan, RunInputs, initial_state
 from spherejax.motion.results.trajectory import Trajectory
-from spherejax.motion.runs.simulate import choice_for, tolerances_of
-from spherejax.motion.solvers.root_finder import with_converging_root_finder
+from spherejax.motion.runs.simulate import choice_for
+from spherejax.motion.settings import DEFAULT_MAX_STEPS, RunSettings
 from spherejax.motion.start.assembly import Assembly
 from spherejax.motion.start.start_now import known_start
-from spherejax.motion.start.tolerances import controller_for
 
 
 class PieceOutcome(NamedTuple):
@@ -64,7 +64,7 @@ class Pieces:
         *,
         rtol: float = 1e-8,
         solver: diffrax.AbstractSolver | None = None,
-        max_steps: int = 20_000_000,
+        max_steps: int = DEFAULT_MAX_STEPS,
     ):
         self.scene_of = scene_of
         self.changes: tuple[str, ...] = ()
@@ -79,10 +79,8 @@ class Pieces:
             if solver is None
             else choice_for(None, rtol, solver)
         )
-        tolerances = tolerances_of(system, rtol, None)
-        controller = controller_for(self.plan.structure, tolerances.rtol, tolerances.atol)
-        method = with_converging_root_finder(self.choice.solver, rtol)
-        self._options = Options(method, controller, max_steps, None)
+        settings = RunSettings(rtol, solver=self.choice.solver, max_steps=max_steps)
+        self._method = RunMethod.of_settings(system, self.plan.structure, settings)
 
     def system_with(self, values: Float[np.ndarray, " k"]) -> System:
         """The system with other numbers, checked.
@@ -113,7 +111,7 @@ class Pieces:
         theta, legal = self.theta_at(values)
         ts = jnp.asarray([t, t_end])
         here = _closed(y, self.plan.structure.system(theta).layout.n_bodies)
-        outcome = run_of(self.plan, self._options, np.zeros(0), theta, ts, here, legal)
+        outcome = run_of(self.plan, self._method, RunInputs(np.zeros(0), theta, ts, here, legal))
         run = Trajectory(
             ts=ts,
             ys=outcome.ys,
@@ -125,7 +123,6 @@ class Pieces:
             assembly=here,
             choice=self.choice.reason,
             scalar=self.plan.scalar,
-            asked=None,
         )
         return PieceOutcome(float(outcome.t_reached), np.asarray(outcome.y_reached), run.diagnosis)
 

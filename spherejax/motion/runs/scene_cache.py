@@ -19,6 +19,7 @@ from spherejax.foundations.types import Numeric
 from spherejax.model.scene import Scene
 from spherejax.model.system import CompiledScene, System, compile_scene, flatten_system, split, with_laws_by_factor
 from spherejax.motion.equations.programs import path_of
+from spherejax.motion.settings import RunSettings
 from spherejax.motion.solvers.automatic import SolverChoice, choose_solver
 from spherejax.motion.start.jumps import jump_conditions
 from spherejax.motion.start.points_beside import points_beside
@@ -130,15 +131,15 @@ def prepared_system(system: System, scalar: bool | None) -> PreparedScene:
     return lru_get(_scenes, key, lambda: PreparedScene(CompiledScene(system, []), scalar))
 
 
-def remembered_call(scene: Scene, ts: Any, options: tuple, make: Callable[[], Any]) -> Any:
-    """The prepared call of `sj.simulate` with equal scene, times and options, from the table; else what `make` returns.
+def remembered_call(scene: Scene, ts: Any, settings: RunSettings, make: Callable[[], Any]) -> Any:
+    """The prepared call of `sj.simulate` with equal scene, times and settings, from the table; else what `make` makes.
 
     A call with traced values, or with values that cannot be compared, is made each time. One that raises an error is
     not entered.
     """
     if not isinstance(ts, np.ndarray | jax.Array) or ts.size > MOST_TIMES:
         return make()
-    return lru_get(_calls, value_key((scene, ts, options)), make)
+    return lru_get(_calls, value_key((scene, ts, settings.parts)), make)
 
 
 def remembered_stepper(key: Any, make: Callable[[], Any]) -> Any:

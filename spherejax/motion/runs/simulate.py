@@ -15,7 +15,6 @@ from jaxtyping import Array, Float
 
 from spherejax.foundations.checks import is_concrete, is_tracing
 from spherejax.foundations.errors import SceneError
-from spherejax.foundations.forms import real_number, whole_number
 from spherejax.foundations.lanes import rows_at
 from spherejax.model.captured import captures_explained
 from spherejax.model.scene import Scene
@@ -23,10 +22,10 @@ from spherejax.model.system import System, example_of
 from spherejax.motion.derivatives.refused import without_derivative
 from spherejax.motion.derivatives.sensitivities import integrate_with_sensitivities, through_kinks
 from spherejax.motion.equations.contacts import abrupt_contacts, kinks_of
-from spherejax.motion.integration.asked import Asked
 from spherejax.motion.integration.audit import cautions, parts_with_a_range
-from spherejax.motion.integration.integrate import Options, Outcome, Plan
+from spherejax.motion.integration.method import RunMethod
 from spherejax.motion.integration.one_run import bound_run
+from spherejax.motion.integration.plan import Outcome, Plan, RunInputs
 from spherejax.motion.integration.status import (
     OutOfRangeWarning,
     SimulationError,
@@ -43,6 +42,7 @@ from spherejax.motion.runs.accurate import accurate
 from spherejax.motion.runs.method_checks import check_control, check_solver
 from spherejax.motion.runs.scene_cache import PreparedScene, again, own_arrays, prepared, remembered_call
 from spherejax.motion.runs.times import seconds_of
+from spherejax.motion.settings import DEFAULT_MAX_STEPS, RunSettings
 from spherejax.motion.solvers.automatic import SolverChoice, choose_solver
 from spherejax.motion.solvers.given_steps import GivenSteps
 from spherejax.motion.solvers.root_finder import with_converging_root_finder
@@ -52,12 +52,6 @@ from spherejax.motion.start.tolerances import controller_for, tolerances_in_all_
 from spherejax.program_cache.user_code import read_once
 from spherejax.runtime import require_float64
 
-SMALLEST_TOLERANCE = 1e-14
-"""Relative tolerances below this ask for digits that float64 does not carry (its resolution is 2.2e-16)."""
-
-NO_LIMIT = int(np.iinfo(np.int64).max)
-"""Steps that no run makes."""
-
 BESIDE_THE_MOTION = (
     "derivative_rtol is for derivatives that are integrated beside the motion, without a controller or an adjoint of "
     "your own. Leave it, or those, out"
@@ -66,9 +60,6 @@ BESIDE_THE_MOTION = (
 
 BY_TIMES = "Leave adjoint= out, or hold ts fixed: jax.lax.stop_gradient(ts)"
 """What to do where an adjoint of the user's meets sample times that are differentiated."""
-
-ENOUGH_STEPS = "Leave it out for 20,000,000."
-"""What to do about a number of steps that cannot be."""
 
 
 def simulate(
@@ -81,7 +72,7 @@ def simulate(
     stepsize_controller: diffrax.AbstractStepSizeController | None = None,
     adjoint: diffrax.AbstractAdjoint | None = None,
     derivative_rtol: float | None = None,
-    max_steps: int = 20_000_000,
+    max_steps: int = DEFAULT_MAX_STEPS,
     track_work: bool = False,
     scalar: bool | None = None,
     throw: bool = False,
@@ -154,11 +145,13 @@ def simulate(
         SimulationError: with `throw=True`, for a run that did not reach its end.
     """
     require_float64()
-    asked = rtol, atol, solver, stepsize_controller, adjoint, derivative_rtol, max_steps, track_work, scalar
+    settings = RunSettings(
+        rtol, atol, solver, stepsize_controller, adjoint, derivative_rtol, max_steps, track_work, scalar
+    )
     conditions = () if until is None else conditions_of(until)
-    limits = None if accuracy is None else _limits(scene, ts, accuracy, rtol, stepsize_controller, track_work, scalar)
+    limits = None if accuracy is None else _limits(scene, ts, accuracy, settings)
     with read_once(), captures_explained([scene]):
-        call = remembered_call(scene, ts, asked, lambda: _call(scene, ts, *asked))
+        call = remembered_call(scene, ts, settings, lambda: _call(scene, ts, settings))
         for said in call.warnings:
             warnings.warn(said, StartWarning, stacklevel=2)
         run = call.run()
@@ -169,18 +162,18 @@ def simulate(
     return reported(run, throw)
 
 
-def _limits(scene: Scene, ts, accuracy, rtol, stepsize_controller, track_work: bool, scalar) -> Limits:
+def _limits(scene: Scene, ts, accuracy, settings: RunSettings) -> Limits:
     """What `accuracy=` asks for; `SceneError` where no tolerance can be chosen for it."""
-    if stepsize_controller is not None:
+    if settings.stepsize_controller is not None:
         raise SceneError(
             "accuracy= chooses the tolerance of spherejax's own step-size control; leave stepsize_controller= out"
         )
-    found = prepared(scene, track_work, scalar)
-    if is_tracing() or found.unknown or not all(map(is_concrete, (ts, rtol))):
+    found = prepared(scene, settings.track_work, settings.scalar)
+    if is_tracing() or found.unknown or not all(map(is_concrete, (ts, settings.rtol))):
         raise SceneError(
             "accuracy= looks at whole runs to choose their tolerance, which a trace (jit, vmap, grad) cannot do. Find "
-            "the tolerance of one run outside of it, rtol = sj.simulate(scene, ts, accuracy=...).asked.rtol, and give "
-            "that"
+            "the tolerance of one run outside of it, rtol = sj.simulate(scene, ts, accuracy=...).settings.rtol, and "
+            "give that"
         )
     return limits_from(accuracy, found.system())
 
@@ -197,16 +190,10 @@ class _Call(NamedTuple):
     run: Callable[[], Trajectory]
 
 
-def _call(
-    scene: Scene, ts, rtol, atol, solver, stepsize_controller, adjoint, derivative_rtol, max_steps, track_work, scalar
-) -> _Call:
+def _call(scene: Scene, ts, settings: RunSettings) -> _Call:
     """A call of `simulate`; arguments as there."""
-    ts = checked_times(ts)
-    check_tolerances(rtol, atol, derivative_rtol)
-    found = prepared(scene, track_work, scalar)
-    return call_of(
-        found, None, ts, rtol, atol, solver, stepsize_controller, adjoint, derivative_rtol, max_steps, scalar
-    )
+    ts, settings = checked_times(ts), settings.checked()
+    return call_of(prepared(scene, settings.track_work, settings.scalar), None, ts, settings)
 
 
 class CarriedStart(NamedTuple):
@@ -228,36 +215,29 @@ class CarriedStart(NamedTuple):
         return Assembly(self.y, nothing[0], self.residual, nothing, nothing, nothing)
 
 
-def call_of(
-    prepared_scene: PreparedScene, carried: CarriedStart | None, ts, rtol, atol, solver, stepsize_controller, adjoint,
-    derivative_rtol, max_steps, scalar,
-) -> _Call:  # fmt: skip
+def call_of(prepared_scene: PreparedScene, carried: CarriedStart | None, ts, settings: RunSettings) -> _Call:
     """Check what is asked for and decide what is left open.
 
     Args:
         prepared_scene: the scene.
         carried: the start; None to assemble it.
         ts: sample times [s], checked.
-        scalar: what the caller said of scalar programs.
-        rtol, atol, solver, stepsize_controller, adjoint, derivative_rtol, max_steps: as of `simulate`.
+        settings: checked.
     """
-    budget: Any = None if is_concrete(max_steps) else max_steps
-    max_steps = whole_number("max_steps", NO_LIMIT if budget is not None else max_steps, ENOUGH_STEPS)
-    path, unknown = prepared_scene.path, prepared_scene.unknown
-    check_control(stepsize_controller, adjoint, ts)
-    is_judged = stepsize_controller is None or isinstance(
-        stepsize_controller, diffrax.AbstractAdaptiveStepSizeController
-    )
-    choice = prepared_scene.choice(rtol) if solver is None else choice_for(None, rtol, solver, is_judged=is_judged)
+    path, unknown, adjoint = prepared_scene.path, prepared_scene.unknown, settings.adjoint
+    check_control(settings.stepsize_controller, adjoint, ts)
+    choice = choice_of(prepared_scene, settings)
     # diffrax's forward mode has no reverse mode; the sensitivities serve both.
     by_sensitivities = adjoint is None or isinstance(adjoint, diffrax.ForwardMode)
-    if stepsize_controller is None:
-        in_numbers = not by_sensitivities and isinstance(choice.solver, diffrax.AbstractImplicitSolver)
-        controller, said = control_of(prepared_scene, rtol, atol, in_numbers)
-    else:
-        controller, said = stepsize_controller, f"{type(stepsize_controller).__name__}: as asked for"
-        if isinstance(controller, diffrax.StepTo):
-            controller = GivenSteps(controller.ts)
+    has_own_control = settings.stepsize_controller is None
+    if settings.derivative_rtol is not None and not (by_sensitivities and has_own_control):
+        raise SceneError(BESIDE_THE_MOTION)
+    if settings.has_traced_budget and not by_sensitivities:
+        raise SceneError(
+            f"max_steps is traced, and {type(adjoint).__name__} lays out memory for every step; give it as a number, "
+            "or leave adjoint= out"
+        )
+    method, said = method_of(prepared_scene, settings, choice, by_sensitivities)
     start = prepared_scene.start(ts) if carried is None else None
     assembly = None if start is None else start.assembly
     if carried is not None:
@@ -265,22 +245,8 @@ def call_of(
     # A state that is traced is one of the traced numbers, so that there are derivatives by it.
     from_state = carried is not None and not is_concrete(carried.y)
     plan = Plan(prepared_scene.structure, unknown, path.scalar, from_state)
-    if budget is not None and not by_sensitivities:
-        raise SceneError(
-            f"max_steps is traced, and {type(adjoint).__name__} lays out memory for every step; give it as a number, "
-            "or leave adjoint= out"
-        )
-    own_control = stepsize_controller is None
-    at_start = choice.at_start if by_sensitivities and own_control else None
-    slack = None if derivative_rtol is None else jnp.asarray(derivative_rtol / rtol, jnp.float64)
-    options = Options(with_converging_root_finder(choice.solver, rtol), controller, max_steps, budget, at_start, slack)
-    if slack is not None and not (by_sensitivities and own_control):
-        raise SceneError(BESIDE_THE_MOTION)
-    if own_control:
-        # `lanes/first_step.py` for explicit methods, `LandingController.init` for all others.
-        said = f"{said}; first step by trial (Hairer)"
     # Known times have been checked; here they would be a kernel of their own for each number of samples.
-    conditions = [*prepared_scene.conditions, *traced_tolerances(rtol, atol, derivative_rtol), *traced_times(ts)]
+    conditions = [*prepared_scene.conditions, *settings.traced_conditions(), *traced_times(ts)]
     conditions += prepared_scene.jump_conditions(ts)
     if carried is not None:
         conditions += carried.conditions
@@ -290,23 +256,24 @@ def call_of(
     if from_state and carried is not None and assembly is not None:
         values = jnp.concatenate([jnp.asarray(values), carried.y])
         begun_with = assembly._replace(y=np.zeros(carried.y.shape))  # the state is among the values
-    arguments = plan, options, values, prepared_scene.known, ts, begun_with, values_are_legal
+    inputs = RunInputs(values, prepared_scene.known, ts, begun_with, values_are_legal)
     if not by_sensitivities:
-        fixed = without_derivative(ts, f"{type(adjoint).__name__} gives no derivative by sample times. {BY_TIMES}")
-        if kinks_of(prepared_scene.structure):
-            values = without_derivative(values, through_kinks(plan, type(adjoint).__name__))
-        outcome_of = integrate_through_diffrax.bound(
-            plan, options, adjoint, values, prepared_scene.known, fixed, *arguments[5:]
+        name = type(adjoint).__name__
+        inputs = inputs._replace(
+            ts=without_derivative(ts, f"{name} gives no derivative by sample times. {BY_TIMES}"),
+            values=without_derivative(values, through_kinks(plan, name))
+            if kinks_of(prepared_scene.structure)
+            else values,
         )
+        outcome_of = integrate_through_diffrax.bound(plan, method, adjoint, settings.max_steps, inputs)
     elif unknown or from_state or not is_concrete(ts):
-        outcome_of = partial(integrate_with_sensitivities, *arguments, abrupt_contacts(prepared_scene.system()))
+        abrupt = abrupt_contacts(prepared_scene.system())
+        outcome_of = partial(integrate_with_sensitivities, plan, method, inputs, abrupt)
     else:
-        outcome_of = bound_run(*arguments)
+        outcome_of = bound_run(plan, method, inputs)
     bound = bound_in_words(prepared_scene.structure, path.scalar)
     explanation = "; ".join(filter(None, [choice.reason, said, path.reason, bound]))
-    described = None
-    if stepsize_controller is None and budget is None:
-        described = _asked(choice.solver, rtol, atol, max_steps, solver is not None, scalar)
+    settings_of_run = settings.of_run(choice.solver)
 
     def run() -> Trajectory:
         try:
@@ -334,7 +301,7 @@ def call_of(
             assembly=assembly,
             choice=choice.reason,
             scalar=path.scalar,
-            asked=described,
+            settings=settings_of_run,
             is_continued=carried is not None,
         )
 
@@ -342,12 +309,44 @@ def call_of(
     return _Call(() if start is None else start.warnings, run)
 
 
-def _asked(
-    solver: diffrax.AbstractSolver, rtol, atol, max_steps: int, by_name: bool, scalar: bool | None
-) -> Asked | None:
-    if not all(is_concrete(each) for each in jax.tree.leaves((solver, rtol, atol)) if eqx.is_array(each)):
-        return None
-    return Asked(solver, float(rtol), None if atol is None else float(atol), max_steps, by_name, scalar)
+def choice_of(prepared_scene: PreparedScene, settings: RunSettings) -> SolverChoice:
+    """The solver that the caller named, or the one that the scene calls for.
+
+    Raises:
+        SceneError: for a solver that cannot integrate a mechanism so.
+    """
+    if settings.solver is None or not settings.is_solver_named:
+        return prepared_scene.choice(settings.rtol)
+    controller = settings.stepsize_controller
+    is_judged = controller is None or isinstance(controller, diffrax.AbstractAdaptiveStepSizeController)
+    return choice_for(None, settings.rtol, settings.solver, is_judged=is_judged)
+
+
+def method_of(
+    prepared_scene: PreparedScene, settings: RunSettings, choice: SolverChoice, by_sensitivities: bool = True
+) -> tuple[RunMethod, str]:
+    """How a scene is integrated by its settings, and words on the step-size control.
+
+    Args:
+        prepared_scene: the scene.
+        settings: checked.
+        choice: the solver.
+        by_sensitivities: whether derivatives are integrated beside the motion.
+    """
+    structure, controller = prepared_scene.structure, settings.stepsize_controller
+    solver = with_converging_root_finder(choice.solver, settings.rtol)
+    if controller is not None:
+        said = f"{type(controller).__name__}: as asked for"
+        if isinstance(controller, diffrax.StepTo):
+            controller = GivenSteps(controller.ts)
+        return RunMethod.of(structure, solver, controller, settings.max_steps), said
+    in_numbers = not by_sensitivities and isinstance(choice.solver, diffrax.AbstractImplicitSolver)
+    controller, said = control_of(prepared_scene, settings.rtol, settings.atol, in_numbers)
+    at_start = choice.at_start if by_sensitivities else None
+    factor = settings.tangent_tolerance_factor()
+    # `lanes/first_step.py` for explicit methods, `LandingController.init` for all others.
+    said = f"{said}; first step by trial (Hairer)"
+    return RunMethod.of(structure, solver, controller, settings.max_steps, at_start, factor), said
 
 
 def choice_for(
@@ -398,45 +397,6 @@ def checked_times(ts) -> Float[Array, " n"]:
     return jnp.asarray(ts, jnp.float64)
 
 
-def check_tolerances(rtol, atol, derivative_rtol=None) -> None:
-    """Raise `SceneError` for tolerances that no integration can keep, or that ask for none."""
-    real_number("rtol", rtol)
-    if atol is not None:
-        real_number("atol", atol)
-    if is_concrete(rtol) and float(rtol) >= 1:
-        raise SceneError(
-            f"rtol = {float(rtol):.3g} allows errors as large as the motion itself; use less than 1, e.g. 1e-8"
-        )
-    if is_concrete(rtol) and not float(rtol) >= SMALLEST_TOLERANCE:
-        raise SceneError(
-            f"rtol = {float(rtol):.3g} asks for digits that float64 does not carry; use at least "
-            f"{SMALLEST_TOLERANCE:.0e}"
-        )
-    if atol is not None and is_concrete(atol) and not float(atol) > 0:
-        raise SceneError(f"atol = {float(atol):.3g} must be positive; entries of the state pass through zero")
-    if atol is not None and is_concrete(atol) and not float(atol) < np.inf:
-        raise SceneError(f"atol = {float(atol):.3g} allows any error; give a number, or leave it out")
-    if derivative_rtol is None:
-        return
-    real_number("derivative_rtol", derivative_rtol)
-    if is_concrete(derivative_rtol) and not float(derivative_rtol) > 0:
-        raise SceneError(
-            f"derivative_rtol = {float(derivative_rtol):.3g} must be positive; use e.g. 1e-6, or leave it out"
-        )
-
-
-def traced_tolerances(rtol, atol, derivative_rtol=None) -> list:
-    """The same conditions for tolerances that are traced: a lane that violates them has the status of a bad value."""
-    conditions = []
-    if not is_concrete(rtol):
-        conditions.append((rtol >= SMALLEST_TOLERANCE) & (rtol < 1))
-    if atol is not None and not is_concrete(atol):
-        conditions.append((atol > 0) & (atol < np.inf))
-    if derivative_rtol is not None and not is_concrete(derivative_rtol):
-        conditions.append(derivative_rtol > 0)
-    return conditions
-
-
 def traced_times(ts: Float[Array, " n"]) -> list:
     """The same conditions for sample times that are traced: they are finite, and do not go back."""
     return [] if is_concrete(ts) else [jnp.all(jnp.isfinite(ts)), jnp.all(jnp.diff(ts) >= 0)]
@@ -482,15 +442,15 @@ def _raising(run: Trajectory) -> Trajectory:
     """
     numbers = run.ended, run.t_reached, run.ts[-1]
 
-    def asked(*numbers) -> Array:
+    def checked(*numbers) -> Array:
         one = jax.ShapeDtypeStruct((), jnp.float64)
         return jax.pure_callback(_raise_if_failed, one, *numbers, vmap_method="sequential")
 
-    def not_asked(*numbers) -> Array:
+    def unchecked(*numbers) -> Array:
         del numbers
         return jnp.ones(())
 
-    passed = jax.lax.cond(run.ended != Status.SUCCEEDED, asked, not_asked, *map(jax.lax.stop_gradient, numbers))
+    passed = jax.lax.cond(run.ended != Status.SUCCEEDED, checked, unchecked, *map(jax.lax.stop_gradient, numbers))
     return jax.tree.map(lambda leaf: _dependent(leaf, passed) if eqx.is_inexact_array(leaf) else leaf, run)
 
 

@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 
 from spherejax.foundations.checks import called, enforce, is_concrete, is_tracing, shown
 from spherejax.foundations.errors import SceneError, one_of
-from spherejax.foundations.forms import real_number, whole_number
+from spherejax.foundations.forms import real_number
 from spherejax.foundations.lanes import rows_at
 from spherejax.foundations.types import Number
 from spherejax.model.captured import captures_explained
@@ -26,24 +26,22 @@ from spherejax.model.system import System, example_of, flatten_by_factor, flatte
 from spherejax.motion.derivatives.sensitivities import depends_on_time, integrate_with_sensitivities
 from spherejax.motion.equations.contacts import abrupt_contacts
 from spherejax.motion.equations.programs import path_of
-from spherejax.motion.integration.asked import Asked
-from spherejax.motion.integration.integrate import Options, Plan, beginning
+from spherejax.motion.integration.method import RunMethod
 from spherejax.motion.integration.one_run import run_of
+from spherejax.motion.integration.plan import Plan, RunInputs, beginning
 from spherejax.motion.integration.status import SimulationError, SimulationWarning, Status, start_status
 from spherejax.motion.results.motion_state import MotionState
 from spherejax.motion.runs.continuation import reached, refuse_failed
 from spherejax.motion.runs.scene_cache import prepared, prepared_system, remembered_stepper
 from spherejax.motion.runs.simulate import (
-    ENOUGH_STEPS,
     CarriedStart,
-    check_tolerances,
     checked_times,
-    choice_for,
-    control_of,
+    choice_of,
+    method_of,
     read_once,
     traced_times,
 )
-from spherejax.motion.solvers.root_finder import with_converging_root_finder
+from spherejax.motion.settings import DEFAULT_MAX_STEPS, RunSettings
 from spherejax.motion.start.start_now import StartWarning
 from spherejax.program_cache import cached_jit
 from spherejax.runtime import require_float64
@@ -64,7 +62,7 @@ def start(
     rtol: float = 1e-8,
     atol: float | None = None,
     solver: diffrax.AbstractSolver | None = None,
-    max_steps: int = 20_000_000,
+    max_steps: int = DEFAULT_MAX_STEPS,
     track_work: bool = False,
     scalar: bool | None = None,
 ) -> MotionState:
@@ -89,17 +87,16 @@ def start(
         SceneError: for a scene that cannot be simulated.
     """
     require_float64()
-    check_tolerances(rtol, atol)
     if not all(map(is_concrete, (rtol, atol, max_steps))):
         raise SceneError(
             "sj.start: rtol, atol and max_steps must be known numbers; they belong to the state's structure"
         )
-    max_steps = whole_number("max_steps", max_steps, ENOUGH_STEPS)
+    settings = RunSettings(rtol, atol, solver, max_steps=max_steps, track_work=track_work, scalar=scalar).checked()
     real_number("t", t)
     ts = checked_times(np.array([t], np.float64) if is_concrete(t) else jnp.asarray(t, jnp.float64)[None])
     with read_once(), captures_explained([scene]):
         prepared_scene = prepared(scene, track_work, scalar)
-        choice = prepared_scene.choice(rtol) if solver is None else choice_for(None, rtol, solver)
+        choice = choice_of(prepared_scene, settings)
         assembled = prepared_scene.start(ts)
         for change in () if assembled is None else assembled.warnings:
             warnings.warn(change, StartWarning, stacklevel=2)
@@ -115,9 +112,10 @@ def start(
             plan, values, prepared_scene.known, ts, None if assembled is None else assembled.assembly, legal
         )
     # A method that is chosen by numbers which are traced is chosen again at each step.
-    is_chosen = solver is not None or choice.at_start is None
-    asked = Asked(choice.solver, float(rtol), None if atol is None else float(atol), max_steps, is_chosen, scalar)
-    return MotionState.of(prepared_scene.system(), jnp.asarray(ts)[0], y, status, asked, prepared_scene.path.scalar)
+    decided = settings.of_run(choice.solver)
+    if decided is not None and choice.at_start is None:
+        decided = decided.replaced(is_solver_named=True)
+    return MotionState.of(prepared_scene.system(), jnp.asarray(ts)[0], y, status, decided, prepared_scene.path.scalar)
 
 
 @cached_jit(what="the start of a motion")
@@ -163,7 +161,7 @@ def advance(state: MotionState, dt: Number, inputs: Inputs | None = None, *, thr
     """
     require_float64()
     refuse_failed(state)
-    if state.asked is None:
+    if state.settings is None:
         raise SceneError(
             "this state has no method and tolerances: its run had traced ones, or a step-size controller of its own. "
             "Make it by sj.start, or of a run with rtol= as a number"
@@ -197,7 +195,7 @@ class _Stepper(NamedTuple):
 
     Attributes:
         plan: what they are compiled for; the inputs are among its unknown numbers.
-        options: how they are integrated.
+        method: how they are integrated.
         known: the numbers that are known.
         traced: indices of the numbers that the caller traces, but for inputs.
         order: of these and then of the inputs, as they stand in `plan.unknown`.
@@ -207,7 +205,7 @@ class _Stepper(NamedTuple):
     """
 
     plan: Plan
-    options: Options
+    method: RunMethod
     known: Float[np.ndarray, " p"]
     traced: tuple[int, ...]
     order: np.ndarray
@@ -218,8 +216,8 @@ class _Stepper(NamedTuple):
     @classmethod
     def of(cls, state: MotionState, names: tuple[str, ...]) -> "_Stepper":
         """That of a state, for inputs by path."""
-        asked = state.asked
-        assert asked is not None
+        settings = state.settings
+        assert settings is not None
         seen = with_laws_by_factor(state.system)
         structure, theta = flatten_system(seen)
         # A system whose numbers are their own indices says where the inputs are.
@@ -239,16 +237,13 @@ class _Stepper(NamedTuple):
         traced = tuple(i for i in traced if i not in set(inputs))
         order = np.argsort([*traced, *inputs]).astype(int)
         unknown = tuple(sorted([*traced, *inputs]))
-        # Method and tolerances are those of the scene, whatever the inputs are.
-        scene = prepared_system(state.system, asked.scalar)
-        choice = choice_for(None, asked.rtol, asked.solver) if asked.by_name else scene.choice(asked.rtol)
-        controller, _ = control_of(scene, asked.rtol, asked.atol)
-        solver = with_converging_root_finder(choice.solver, asked.rtol)
-        options = Options(solver, controller, asked.max_steps, None, choice.at_start)
-        plan = Plan(structure, unknown, path_of(structure, asked.scalar).scalar)
+        # RunMethod and tolerances are those of the scene, whatever the inputs are.
+        scene = prepared_system(state.system, settings.scalar)
+        method, _ = method_of(scene, settings, choice_of(scene, settings))
+        plan = Plan(structure, unknown, path_of(structure, settings.scalar).scalar)
         reads_time = depends_on_time(plan) or bool(example_of(structure).sampled_forces)
         shapes = tuple(entry.shape for entry in entries)
-        return cls(plan, options, known, traced, order, places, shapes, reads_time)
+        return cls(plan, method, known, traced, order, places, shapes, reads_time)
 
     def advanced(self, state: MotionState, dt: Any, inputs: list, conditions: list) -> MotionState:
         """The state a step later."""
@@ -264,14 +259,15 @@ class _Stepper(NamedTuple):
         start = CarriedStart(state.y, np.zeros(()), []).assembly(example_of(self.plan.structure).layout.n_bodies)
         values = self._values(state, inputs)
         if all(map(is_concrete, jax.tree.leaves((state, ts, values, legal)))) and not is_tracing():
-            outcome = run_of(self.plan, self.options, values, self.known, ts, start, legal)
+            outcome = run_of(self.plan, self.method, RunInputs(values, self.known, ts, start, legal))
         else:
             plan = replace(self.plan, from_state=not is_concrete(state.y))
             if plan.from_state:
                 values = jnp.concatenate([jnp.asarray(values), state.y])
                 start = start._replace(y=np.zeros(state.y.shape))
             abrupt = abrupt_contacts(state.system)
-            outcome = integrate_with_sensitivities(plan, self.options, values, self.known, ts, start, legal, abrupt)
+            numbers = RunInputs(values, self.known, ts, start, legal)
+            outcome = integrate_with_sensitivities(plan, self.method, numbers, abrupt)
         has_come = state.ended == Status.SUCCEEDED
         t = state.t + jnp.where(outcome.status == Status.SUCCEEDED, dt, outcome.t_reached - ts[0])
         return replace(
@@ -296,7 +292,7 @@ def _stepper_of(state: MotionState, names: tuple[str, ...]) -> _Stepper:
     """That of a state; of one whose numbers are all known it is made once."""
     if any(leaf is None for leaf in state.known.leaves):
         return _Stepper.of(state, names)
-    return remembered_stepper((state.known, state.asked, state.scalar, names), lambda: _Stepper.of(state, names))
+    return remembered_stepper((state.known, state.settings, state.scalar, names), lambda: _Stepper.of(state, names))
 
 
 def _place_of(system: System, name: Any) -> tuple[tuple[str, ...], tuple[int, ...]]:

@@ -13,7 +13,8 @@ from spherejax.foundations.errors import SceneError, one_of
 from spherejax.foundations.terminals import waiting_for
 from spherejax.model.scene import Scene
 from spherejax.motion.runs.scene_cache import prepared
-from spherejax.motion.runs.simulate import check_tolerances, choice_for
+from spherejax.motion.runs.simulate import choice_for
+from spherejax.motion.settings import check_tolerances
 from spherejax.motion.solvers.automatic import SolverChoice
 from spherejax.motion.start.start_now import StartWarning
 from spherejax.output.fmu.description import DefaultExperiment

@@ -144,10 +144,10 @@ def _summary(run: Trajectory) -> list[tuple[str, str]]:
         ("steps repeated", f"{int(stats.n_rejected):,}"),
         ("evaluations of the equations of motion", f"{int(stats.n_evaluations):,}"),
     ]
-    if run.asked is not None:
-        atol = "by kind of component" if run.asked.atol is None else f"{run.asked.atol:g}"
-        rows += [("relative tolerance", f"{run.asked.rtol:g}"), ("absolute tolerance", atol)]
-        rows.append(("largest number of steps", f"{run.asked.max_steps:,}"))
+    if run.settings is not None:
+        atol = "by kind of component" if run.settings.atol is None else f"{run.settings.atol:g}"
+        rows += [("relative tolerance", f"{run.settings.rtol:g}"), ("absolute tolerance", atol)]
+        rows.append(("largest number of steps", f"{run.settings.max_steps:,}"))
     rows += [
         (f"contact onsets of {name}", f"{int(n):,}")
         for name, n in zip(system.contact_joints, np.asarray(stats.n_onsets), strict=True)

@@ -16,7 +16,8 @@ from spherejax.model.system import compile_scene
 from spherejax.motion.integration.statistics import Statistics
 from spherejax.motion.results.global_error import companion_by
 from spherejax.motion.results.trajectory import Trajectory
-from spherejax.motion.runs.simulate import NO_LIMIT, simulate
+from spherejax.motion.runs.simulate import simulate
+from spherejax.motion.settings import NO_LIMIT
 from spherejax.studies.accuracy.solvers import SolverOf, made
 
 PROBE_STEPS = 400

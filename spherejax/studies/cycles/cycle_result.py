@@ -9,8 +9,8 @@ from jaxtyping import Complex, Float
 
 from spherejax.foundations.errors import SceneError
 from spherejax.motion.equations.quantities import quantity
-from spherejax.motion.integration.integrate import stages_of
 from spherejax.motion.integration.jobs import statistics
+from spherejax.motion.integration.plan import stages_of
 from spherejax.motion.integration.spans import Jobs
 from spherejax.motion.integration.status import SimulationError
 from spherejax.motion.results.trajectory import Trajectory
@@ -240,7 +240,7 @@ def motions(family: Family, places: CandidateState, begin: float, samples: int) 
                 assembly=Assembly(*map(jnp.asarray, (start, 0.0, 0.0, none, none, none))),
                 choice=family.choice.reason,
                 scalar=family.scalar,
-                asked=family.asked,
+                settings=family.settings,
             )
         )
     return runs

@@ -4,7 +4,6 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -17,12 +16,13 @@ from spherejax.model.system import Structure, System, compile_scene, flatten_sys
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import path_of, program_for
 from spherejax.motion.equations.projection import corrected
-from spherejax.motion.integration.asked import Asked
-from spherejax.motion.integration.jobs import JobKind
 from spherejax.motion.integration.lanes import LaneOutcome
-from spherejax.motion.integration.spans import Jobs, SpanKind, over_spans
-from spherejax.motion.runs.simulate import check_tolerances, choice_for, tolerances_of
+from spherejax.motion.integration.method import RunMethod
+from spherejax.motion.integration.plan import Plan
+from spherejax.motion.integration.spans import Jobs, over_spans
+from spherejax.motion.runs.simulate import choice_for, tolerances_of
 from spherejax.motion.runs.traced_functions import built, known_build
+from spherejax.motion.settings import RunSettings, check_tolerances
 from spherejax.program_cache import cached_jit
 from spherejax.studies.linear.tangent import Geometry, held, held_along, masses, size_of
 
@@ -69,11 +69,15 @@ class Family:
             self.structure, self._theta = flatten_system(self.example)
         self.layout = self.example.layout
         self.choice = choice_for(self.example, rtol, solver)
-        method: Any = self.choice.solver
         self.rtol, self.max_steps = float(rtol), int(max_steps)
         self.tolerances = tolerances_of(self.example, self.rtol, None)
         self.scalar = path_of(self.structure).scalar
-        self.asked = Asked(method, self.rtol, None, self.max_steps)
+        chosen: Any = self.choice.solver
+        self.settings = RunSettings(
+            self.rtol, solver=chosen, max_steps=self.max_steps, is_solver_named=solver is not None
+        )
+        self.plan = Plan(self.structure, (), self.scalar)
+        self.method = RunMethod.by_tolerances(self.structure, chosen, self.tolerances, self.rtol, self.max_steps)
 
     def scene(self, values: Mapping[str, float]) -> Scene:
         """The scene of some numbers.
@@ -108,12 +112,9 @@ class Family:
 
     def flown(self, jobs: Jobs, shares: np.ndarray, *, with_rows: bool, cycles: int = 1) -> LaneOutcome:
         """Integrate spans, all at once; see `integration.spans`."""
-        arrays, solver = eqx.partition(self.choice.solver, eqx.is_array)
-        kind = SpanKind(JobKind(self.structure, self.scalar, solver, with_rows), cycles)
-        pair = self.tolerances.rtol, self.tolerances.atol
         jobs = jax.tree.map(jnp.asarray, jobs)
-        found = over_spans(kind, arrays, pair, np.asarray(self.max_steps, np.int64), jobs, jnp.asarray(shares))
-        return jax.tree.map(np.asarray, found)
+        spans = over_spans(self.plan, self.method, with_rows, cycles, jobs, jnp.asarray(shares))
+        return jax.tree.map(np.asarray, spans)
 
     def looked_at(self, theta, t, y) -> "Looked":
         """States closed, with their constraints, masses and rates; a leading axis of states."""

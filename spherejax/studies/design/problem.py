@@ -11,12 +11,12 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from spherejax.foundations.errors import SceneError
-from spherejax.foundations.forms import whole_number
 from spherejax.model.scene import Scene
 from spherejax.model.system import compile_scene
 from spherejax.motion.integration.status import Status, diagnosis
 from spherejax.motion.results.trajectory import Trajectory
-from spherejax.motion.runs.simulate import ENOUGH_STEPS, check_tolerances, checked_times, simulate
+from spherejax.motion.runs.simulate import checked_times, simulate
+from spherejax.motion.settings import RunSettings
 from spherejax.runtime import require_float64
 from spherejax.studies.design.measures import Function, Measure, measure
 from spherejax.studies.fit.parameters import FitUnknowns, unknowns_from
@@ -75,8 +75,7 @@ class DesignProblem:
         max_steps: int,
     ):
         require_float64()
-        check_tolerances(rtol, atol)
-        max_steps = whole_number("max_steps", max_steps, ENOUGH_STEPS)
+        max_steps = RunSettings(rtol, atol, max_steps=max_steps).checked().max_steps
         self.build, self.ts = build, checked_times(ts)
         given, self.start = unknowns_from(start)
         self.bounds = _scaled_bounds(given)

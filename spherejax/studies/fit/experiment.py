@@ -8,7 +8,6 @@ from collections.abc import Callable, Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
-import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -19,22 +18,22 @@ from spherejax.foundations.errors import SceneError
 from spherejax.foundations.types import Flag
 from spherejax.model.system import compile_scene, flatten_system, split
 from spherejax.motion.derivatives.pullback import gradient_of, warn_of_kinks
-from spherejax.motion.derivatives.sensitivities import StatesAndSlopes, integrate_along, names_of_kinks
+from spherejax.motion.derivatives.sensitivities import names_of_kinks
 from spherejax.motion.derivatives.through_touches import check_derivatives
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import path_of, program_for
-from spherejax.motion.integration.integrate import Options, Outcome, Plan
-from spherejax.motion.integration.one_run import run_of
+from spherejax.motion.integration.method import RunMethod
+from spherejax.motion.integration.one_run import RunAndSlopes, run_and_slopes, run_of
+from spherejax.motion.integration.plan import Outcome, Plan, RunInputs
 from spherejax.motion.integration.statistics import Statistics
 from spherejax.motion.integration.status import Status, diagnosis
 from spherejax.motion.results.trajectory import Trajectory
 from spherejax.motion.runs.many import Build, built
-from spherejax.motion.runs.simulate import choice_for, tolerances_of
+from spherejax.motion.runs.simulate import choice_for
+from spherejax.motion.settings import RunSettings
 from spherejax.motion.solvers.automatic import SolverChoice
-from spherejax.motion.solvers.root_finder import with_converging_root_finder
 from spherejax.motion.start.assembly import Assembly
 from spherejax.motion.start.start_now import start_now
-from spherejax.motion.start.tolerances import controller_for
 from spherejax.program_cache import cached_jit
 from spherejax.studies.fit.arguments import Arguments, OwnBuild, arguments_of
 from spherejax.studies.fit.losses import Loss
@@ -77,13 +76,13 @@ class Setting(eqx.Module):
     """What the runs of an experiment share.
 
     Attributes:
-        options: how to integrate.
+        method: how to integrate.
         known: numbers of the system that the unknowns do not touch, with zeros elsewhere.
         ts: the start of the motion, then the instants of the record [s]; the last may be repeated.
         start: the consistent start, where the unknowns do not move it.
     """
 
-    options: Options
+    method: RunMethod
     known: Float[Array, " p"]
     ts: Float[Array, " n+1"]
     start: Assembly | None
@@ -142,19 +141,6 @@ class CostAndGradient(NamedTuple):
     diagnosis: str = ""
 
 
-class Integration(NamedTuple):
-    """How the runs of a fit are made.
-
-    Attributes:
-        rtol, atol, solver, max_steps: as in `simulate`.
-    """
-
-    rtol: float
-    atol: float | None
-    solver: diffrax.AbstractSolver | None
-    max_steps: int
-
-
 class Experiment(eqx.Module):
     """One experiment, ready to be predicted.
 
@@ -199,18 +185,17 @@ class Experiment(eqx.Module):
         if self.frame.moved == ():  # only sensors are fitted: there is nothing to go back along
             return self._cost_and_gradient_forward(u, weights, loss)
         frame, setting, numbers = self.frame, self.setting, self.numbers(u)
-        common = frame.plan, setting.options, numbers.values
         ts = _sample_times(frame, setting, numbers.of_sensors)
         warn_of_kinks(names_of_kinks(frame.plan))
-        rest = setting.known, ts, setting.start, numbers.are_legal
-        run: Outcome = run_of(*common, *rest)
+        inputs = RunInputs(numbers.values, setting.known, ts, setting.start, numbers.are_legal)
+        run: Outcome = run_of(frame.plan, setting.method, inputs)
         if int(run.status) != Status.SUCCEEDED:
             return CostAndGradient(np.nan, np.full(u.size, np.nan), self.diagnosis(run.status, run.t_reached, u))
         n = setting.ts.size - 1
         data, padded = np.zeros((2, n, self.data.shape[1]))
         data[: len(self.data)], padded[: len(self.data)] = self.data, weights
         slopes = _cost_and_slopes(frame, setting, loss, numbers.values, numbers.of_sensors, run, data, padded)
-        along_run = gradient_of(*common, numbers.directions, *rest, slopes.by_ys)
+        along_run = gradient_of(frame.plan, setting.method, inputs, numbers.directions, slopes.by_ys)
         by_scene = numbers.directions @ (slopes.by_values + along_run)
         gradient = np.zeros(u.size)
         if numbers.sensor_directions is not None and slopes.by_sensors is not None:
@@ -271,7 +256,7 @@ def experiment_of(
     unknowns: FitUnknowns,
     start: dict[str, np.ndarray],
     measured: Measured,
-    integration: Integration,
+    settings: RunSettings,
     n_samples: int,
     common: Sequence[str],
 ) -> Experiment:
@@ -301,7 +286,7 @@ def experiment_of(
     track_work = any(one.needs_work for one in observables.values())
     times = np.concatenate([[measured.t0], measured.ts, np.full(n_samples - measured.ts.size, measured.ts[-1])])
     moved = _moved(unknowns, arguments)
-    reach = _reach(build, unknowns, start, track_work, integration, times)
+    reach = _reach(build, unknowns, start, track_work, settings, times)
     plan, choice = reach.plan, reach.choice
     try:
         sensing, sensors = channels_of(measured.sensors, observables, first, measured.t0, arguments.of(start))
@@ -310,11 +295,8 @@ def experiment_of(
     moved = moved if plan.unknown else ()
     if track_work:
         example = compile_scene(built(build, start), track_work=True).system
-    tolerances = tolerances_of(example, integration.rtol, integration.atol)
-    controller = controller_for(plan.structure, tolerances.rtol, tolerances.atol)
-    solver = with_converging_root_finder(choice.solver, integration.rtol)
-    options = Options(solver, controller, integration.max_steps)
-    setting = Setting(options, jnp.asarray(reach.known), jnp.asarray(times), reach.start)
+    method = RunMethod.of_settings(example, plan.structure, settings.replaced(solver=choice.solver))
+    setting = Setting(method, jnp.asarray(reach.known), jnp.asarray(times), reach.start)
     data = np.concatenate([value.reshape(measured.ts.size, -1) for value in measured.values.values()], 1)
     frame = Frame(plan, tuple(observables.values()), choice.reason, unknowns.size, moved, sensing)
     numbers = _numbers_for(build, unknowns, track_work, plan.unknown, moved, sensors, arguments)
@@ -360,7 +342,7 @@ class _Reach(NamedTuple):
     start: Assembly | None
 
 
-def _reach(build: Build, unknowns: FitUnknowns, start, track_work: bool, integration: Integration, times) -> _Reach:
+def _reach(build: Build, unknowns: FitUnknowns, start, track_work: bool, settings: RunSettings, times) -> _Reach:
     """Trace the builder without staging it: what does not depend on the unknowns stays known."""
     found: list[_Reach] = []
 
@@ -369,7 +351,7 @@ def _reach(build: Build, unknowns: FitUnknowns, start, track_work: bool, integra
         structure, _ = flatten_system(system)
         known, unknown = split(system)
         path = path_of(structure)
-        choice = choice_for(system, integration.rtol, integration.solver, explicit_only=path.scalar is False)
+        choice = choice_for(system, settings.rtol, settings.solver, explicit_only=path.scalar is False)
         check_derivatives(system, choice.solver)
         plan = Plan(structure, unknown, path.scalar)
         found.append(_Reach(plan, np.asarray(known), choice, start_now(system, times)))
@@ -448,42 +430,42 @@ def _sample_times(frame: Frame, setting: Setting, of_sensors) -> Float[Array, " 
     return _samples(frame, setting, of_sensors).ts
 
 
-def _run_with_slopes(frame: Frame, setting: Setting, numbers: TracedNumbers, ts) -> StatesAndSlopes:
+def _run_with_slopes(frame: Frame, setting: Setting, numbers: TracedNumbers, ts) -> RunAndSlopes:
     """A run and its derivatives by the unknowns that move the scene."""
-    rest = setting.known, ts, setting.start, numbers.are_legal
+    inputs = RunInputs(numbers.values, setting.known, ts, setting.start, numbers.are_legal)
     if frame.moved != ():
-        return integrate_along(frame.plan, setting.options, numbers.values, numbers.directions, *rest)
-    run: Outcome = run_of(frame.plan, setting.options, numbers.values, *rest)
+        return run_and_slopes(frame.plan, setting.method, inputs, numbers.directions)
+    run: Outcome = run_of(frame.plan, setting.method, inputs)
     none = jax.tree.map(lambda leaf: jnp.zeros((0, *jnp.shape(leaf))), (run.ys, run.assembly))
-    return StatesAndSlopes(run.ys, none[0], run.assembly, none[1], run.status, run.t_reached, run.stats.n_steps)
+    return RunAndSlopes(run, *none)
 
 
 def _with_slopes(frame: Frame, setting: Setting, numbers: TracedNumbers) -> Prediction:
     samples = _samples(frame, setting, numbers.of_sensors)
-    run = _run_with_slopes(frame, setting, numbers, samples.ts)
-    directions, slopes = _of_all(frame, numbers.directions), _of_all(frame, run.slopes)
+    outcome, run_slopes, _ = _run_with_slopes(frame, setting, numbers, samples.ts)
+    directions, slopes = _of_all(frame, numbers.directions), _of_all(frame, run_slopes)
 
     def predictions(values, ys, of_sensors):
-        return _observed(frame, setting, values, ys, of_sensors, run.assembly)
+        return _observed(frame, setting, values, ys, of_sensors, outcome.assembly)
 
     if frame.sensing is not None:
         # The state at a sample time that moves: its own derivative, and its rate times the move.
-        rates = _rates(frame, setting, numbers.values, samples.ts, run.ys)
+        rates = _rates(frame, setting, numbers.values, samples.ts, outcome.ys)
         moves = jax.vmap(
             lambda dot: jax.jvp(lambda x: _samples(frame, setting, x).ts, (numbers.of_sensors,), (dot,))[1]
         )(numbers.sensor_directions)
         slopes = slopes + moves[:, :, None] * rates
 
     def along(direction, slope, dot):
-        return jax.jvp(predictions, (numbers.values, run.ys, numbers.of_sensors), (direction, slope, dot))
+        return jax.jvp(predictions, (numbers.values, outcome.ys, numbers.of_sensors), (direction, slope, dot))
 
     values, slopes = jax.vmap(along, out_axes=(None, -1))(directions, slopes, numbers.sensor_directions)
     changes = None
     of_sensors = numbers.of_sensors
     if frame.sensing is not None and frame.sensing.has_filters and of_sensors is not None:
-        seen = _seen(frame, setting, numbers.values, run.ys, of_sensors, run.assembly)
+        seen = _seen(frame, setting, numbers.values, outcome.ys, of_sensors, outcome.assembly)
         changes = filter_errors(*seen)
-    return Prediction(values, slopes, run.status, run.t_reached, run.n_steps, changes)
+    return Prediction(values, slopes, outcome.status, outcome.t_reached, outcome.stats.n_steps, changes)
 
 
 def _rates(frame: Frame, setting: Setting, values, ts, ys) -> Float[Array, "n size"]:
@@ -544,9 +526,8 @@ def _predicted_in_lanes(frame: Frame, setting: Setting, numbers: TracedNumbers) 
 @cached_jit(what="a prediction of a fit")
 def _predicted_alone(frame: Frame, setting: Setting, numbers: TracedNumbers) -> Prediction:
     ts = _samples(frame, setting, numbers.of_sensors).ts
-    outcome: Outcome = run_of(
-        frame.plan, setting.options, numbers.values, setting.known, ts, setting.start, numbers.are_legal
-    )
+    inputs = RunInputs(numbers.values, setting.known, ts, setting.start, numbers.are_legal)
+    outcome: Outcome = run_of(frame.plan, setting.method, inputs)
     values = _observed(frame, setting, numbers.values, outcome.ys, numbers.of_sensors, outcome.assembly)
     none = jnp.zeros((*values.shape, 0))
     return Prediction(values, none, outcome.status, outcome.t_reached, outcome.stats.n_steps, None)

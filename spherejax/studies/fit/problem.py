@@ -16,14 +16,14 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from spherejax.foundations.errors import SceneError
-from spherejax.foundations.forms import visible, whole_number
+from spherejax.foundations.forms import visible
 from spherejax.foundations.types import Scalar
 from spherejax.motion.integration.status import Status
 from spherejax.motion.runs.many import Build
-from spherejax.motion.runs.simulate import ENOUGH_STEPS, check_tolerances
+from spherejax.motion.settings import RunSettings
 from spherejax.runtime import require_float64
 from spherejax.studies.fit.arguments import refuse_unused, with_own_parameters
-from spherejax.studies.fit.experiment import CostAndGradient, Experiment, Integration, Prediction, experiment_of
+from spherejax.studies.fit.experiment import CostAndGradient, Experiment, Prediction, experiment_of
 from spherejax.studies.fit.losses import Loss, check_loss, rooted
 from spherejax.studies.fit.measured import Measured
 from spherejax.studies.fit.parameters import FitUnknowns, unknowns_from
@@ -300,16 +300,14 @@ def problem_of(
     """
     require_float64()
     check_loss(loss)
-    check_tolerances(rtol, atol)
-    max_steps = whole_number("max_steps", max_steps, ENOUGH_STEPS)
+    settings = RunSettings(rtol, atol, solver, max_steps=max_steps).checked()
     experiments = _named(experiments)
     if not isinstance(start, Mapping):
         unknowns_from(start)  # refuses it
     common = list(start)
     unknowns, values = unknowns_from(with_own_parameters(start, experiments))
-    integration = Integration(rtol, atol, solver, max_steps)
     n_samples = max(n_samples, *(one.ts.size for one in experiments))
-    made = [experiment_of(build, unknowns, values, one, integration, n_samples, common) for one in experiments]
+    made = [experiment_of(build, unknowns, values, one, settings, n_samples, common) for one in experiments]
     if not is_held_out:
         refuse_unused(common, experiments, [one.arguments for one in made])
         if not all(one.depends_on_unknowns for one in made):

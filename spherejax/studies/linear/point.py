@@ -12,8 +12,8 @@ from spherejax.foundations.errors import SceneError
 from spherejax.foundations.forms import shape_of
 from spherejax.model.scene import Scene
 from spherejax.model.system import Structure, System, compile_scene, flatten_system
-from spherejax.motion.integration.integrate import initial_state
-from spherejax.motion.integration.moment import state_between
+from spherejax.motion.integration.plan import initial_state
+from spherejax.motion.integration.state_at import state_at
 from spherejax.motion.results.trajectory import Trajectory
 from spherejax.motion.start.equilibrium import equilibrium
 from spherejax.motion.start.start_now import start_now
@@ -96,7 +96,7 @@ def _of_run(run: Trajectory, at: str | float) -> OperatingPoint:
     t, y, system = float(run.ts[i]), np.asarray(run.ys[i]), run.system
     words = f"of the run at {t:.6g} s"
     if wanted is not None:
-        y = state_between(system, run.asked, run.scalar, t, y, wanted)
+        y = state_at(system, run.settings, run.scalar, t, y, wanted)
         t, words = wanted, f"of the run at {wanted:.6g} s (integrated on from its sample at {t:.6g} s)"
     structure, theta = flatten_system(system)
     return OperatingPoint(system, system, structure, np.asarray(theta), t, y, words, "run")

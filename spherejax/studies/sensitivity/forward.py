@@ -3,7 +3,6 @@
 from dataclasses import replace
 from typing import Any, NamedTuple, Protocol
 
-import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -11,24 +10,23 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from spherejax.foundations.errors import SceneError
-from spherejax.foundations.forms import whole_number
 from spherejax.model.system import System, compile_scene, flatten_system, split
-from spherejax.motion.derivatives.sensitivities import integrate_along
 from spherejax.motion.derivatives.through_touches import any_jump, warn_of_rosenbrock
 from spherejax.motion.equations.contacts import abrupt_contacts
 from spherejax.motion.equations.programs import path_of
-from spherejax.motion.integration.integrate import Options, Plan
+from spherejax.motion.integration.method import RunMethod
+from spherejax.motion.integration.one_run import run_and_slopes
+from spherejax.motion.integration.plan import Plan, RunInputs
 from spherejax.motion.integration.sensitivity_rows import scales_of
 from spherejax.motion.integration.statistics import Statistics
 from spherejax.motion.results.trajectory import Trajectory
 from spherejax.motion.runs.many import built
-from spherejax.motion.runs.simulate import ENOUGH_STEPS, check_tolerances, choice_for, tolerances_of
+from spherejax.motion.runs.simulate import choice_for
+from spherejax.motion.settings import RunSettings
 from spherejax.motion.solvers.automatic import SolverChoice
-from spherejax.motion.solvers.root_finder import with_converging_root_finder
 from spherejax.motion.solvers.traits import is_linearly_implicit
 from spherejax.motion.start.assembly import Assembly
 from spherejax.motion.start.start_now import start_now
-from spherejax.motion.start.tolerances import controller_for
 from spherejax.program_cache import cached_jit
 from spherejax.studies.sensitivity.unknowns import FlatBuild
 
@@ -39,21 +37,6 @@ class WantedObservables(Protocol):
     def of(self, run: Trajectory) -> Array:
         """An array of shape (n, components)."""
         ...
-
-
-class RunMethod(NamedTuple):
-    """How a run is integrated.
-
-    Attributes:
-        rtol, atol, solver, max_steps: as in `simulate`.
-        track_work: whether the work of the joints is integrated.
-    """
-
-    rtol: float
-    atol: float | None
-    solver: diffrax.AbstractSolver | None
-    max_steps: int
-    track_work: bool
 
 
 class RunWithSlopes(NamedTuple):
@@ -76,11 +59,11 @@ def system_at(flat: FlatBuild, numbers: Any, track_work: bool) -> System:
     return compile_scene(scene, track_work=track_work).system
 
 
-def choice_at(flat: FlatBuild, numbers: Any, method: RunMethod) -> SolverChoice:
+def choice_at(flat: FlatBuild, numbers: Any, settings: RunSettings) -> SolverChoice:
     """The method for a run, chosen by the numbers themselves: they are known here, if traced later on."""
-    system = system_at(flat, numbers, method.track_work)
+    system = system_at(flat, numbers, settings.track_work)
     is_large = path_of(flatten_system(system)[0]).scalar is False
-    return choice_for(system, method.rtol, method.solver, explicit_only=is_large and method.solver is None)
+    return choice_for(system, settings.rtol, settings.solver, explicit_only=is_large and settings.solver is None)
 
 
 class PreparedStudy(eqx.Module):
@@ -89,7 +72,7 @@ class PreparedStudy(eqx.Module):
     Attributes:
         plan: what it is compiled for (static).
         choice: which method is used, and why (static).
-        options: how to integrate.
+        method: how to integrate.
         known: numbers of the system that do not depend on the parameters, with zeros elsewhere.
         ts: sample times [s].
         start: the consistent start, where it does not depend on the parameters.
@@ -97,28 +80,24 @@ class PreparedStudy(eqx.Module):
 
     plan: Plan = eqx.field(static=True)
     choice: SolverChoice = eqx.field(static=True)
-    options: Options
+    method: RunMethod
     known: Float[Array, " n_numbers"]
     ts: Float[Array, " n"]
     start: Assembly | None
 
 
-def prepare(flat: FlatBuild, numbers, times, method: RunMethod) -> PreparedStudy:
+def prepare(flat: FlatBuild, numbers, times, settings: RunSettings) -> PreparedStudy:
     """Choose the method by the numbers, and find what of the system depends on the parameters."""
-    check_tolerances(method.rtol, method.atol)
-    method = method._replace(max_steps=whole_number("max_steps", method.max_steps, ENOUGH_STEPS))
-    choice = choice_at(flat, numbers, method)
-    system = system_at(flat, numbers, method.track_work)
+    settings = settings.checked()
+    choice = choice_at(flat, numbers, settings)
+    system = system_at(flat, numbers, settings.track_work)
     any_jump(system)
-    limits = tolerances_of(system, method.rtol, method.atol)
-    controller = controller_for(flatten_system(system)[0], limits.rtol, limits.atol)
-    solver = with_converging_root_finder(choice.solver, method.rtol)
-    options = Options(solver, controller, method.max_steps)
+    method = RunMethod.of_settings(system, flatten_system(system)[0], settings.replaced(solver=choice.solver))
     found = []
 
     def traced(numbers):
         # Not staged: what does not depend on the parameters stays known.
-        system = system_at(flat, numbers, method.track_work)
+        system = system_at(flat, numbers, settings.track_work)
         structure, _ = flatten_system(system)
         known, unknown = split(system)
         plan = Plan(structure, unknown, path_of(structure).scalar)
@@ -129,7 +108,7 @@ def prepare(flat: FlatBuild, numbers, times, method: RunMethod) -> PreparedStudy
     plan, known, start = found[0]
     if not plan.unknown:
         raise SceneError(f"the scene does not depend on {', '.join(map(repr, flat.unknowns.names))}")
-    return PreparedStudy(plan, choice, options, known, jnp.asarray(times), start)
+    return PreparedStudy(plan, choice, method, known, jnp.asarray(times), start)
 
 
 def traced_numbers(flat: FlatBuild, plan: Plan, numbers, scale, track_work: bool):
@@ -145,7 +124,9 @@ def traced_numbers(flat: FlatBuild, plan: Plan, numbers, scale, track_work: bool
     return values, slopes.T * scale[:, None], are_legal
 
 
-def forward(flat: FlatBuild, numbers, times, wanted: tuple[WantedObservables, ...], method: RunMethod) -> RunWithSlopes:
+def forward(
+    flat: FlatBuild, numbers, times, wanted: tuple[WantedObservables, ...], settings: RunSettings
+) -> RunWithSlopes:
     """The run with its sensitivities.
 
     Args:
@@ -153,26 +134,22 @@ def forward(flat: FlatBuild, numbers, times, wanted: tuple[WantedObservables, ..
         numbers: where the derivatives are taken, shape (p,).
         times: sample times [s].
         wanted: what is observed.
-        method: how to integrate.
+        settings: how to integrate.
     """
-    prepared = prepare(flat, numbers, times, method)
-    if is_linearly_implicit(prepared.options.solver):
-        warn_of_rosenbrock(abrupt_contacts(system_at(flat, numbers, method.track_work)), prepared.options.solver, 4)
+    prepared = prepare(flat, numbers, times, settings)
+    if is_linearly_implicit(prepared.method.solver):
+        warn_of_rosenbrock(abrupt_contacts(system_at(flat, numbers, settings.track_work)), prepared.method.solver, 4)
     numbers = jnp.asarray(numbers)
     scale = scales_of(numbers)
-    values, directions, are_legal = traced_numbers(flat, prepared.plan, numbers, scale, method.track_work)
-    found = _integrated(
-        prepared.plan, prepared.options, values, directions, prepared.known, prepared.ts, prepared.start, are_legal
-    )
-    observed = _observed(prepared, wanted, values, directions, found.ys, found.slopes)
-    run = observable_run(prepared, prepared.plan.theta(values, prepared.known), found.ys)
-    stats = replace(run.stats, n_steps=found.n_steps)
-    run = replace(run, stats=stats, ended=found.status, t_reached=found.t_reached)
+    values, directions, are_legal = traced_numbers(flat, prepared.plan, numbers, scale, settings.track_work)
+    inputs = RunInputs(values, prepared.known, prepared.ts, prepared.start, are_legal)
+    outcome, slopes, _ = run_and_slopes(prepared.plan, prepared.method, inputs, directions)
+    observed = _observed(prepared, wanted, values, directions, outcome.ys, slopes)
+    run = observable_run(prepared, prepared.plan.theta(values, prepared.known), outcome.ys)
+    stats = replace(run.stats, n_steps=outcome.stats.n_steps)
+    run = replace(run, stats=stats, ended=outcome.status, t_reached=outcome.t_reached)
     errors = "the errors of the derivatives are controlled"
     return RunWithSlopes(run, [(np.asarray(y), np.asarray(slopes / scale)) for y, slopes in observed], errors)
-
-
-_integrated = cached_jit(integrate_along, what="a run and its derivatives")
 
 
 @cached_jit(what="the derivatives of what is observed")

@@ -9,12 +9,13 @@ import numpy as np
 from spherejax.motion.derivatives.pullback import gradient_of, warn_of_kinks
 from spherejax.motion.derivatives.sensitivities import names_of_kinks
 from spherejax.motion.integration.one_run import run_of
+from spherejax.motion.integration.plan import RunInputs
 from spherejax.motion.integration.sensitivity_rows import scales_of
 from spherejax.motion.integration.status import Status
+from spherejax.motion.settings import RunSettings
 from spherejax.program_cache import cached_jit
 from spherejax.studies.sensitivity.forward import (
     PreparedStudy,
-    RunMethod,
     RunWithSlopes,
     WantedObservables,
     observable_run,
@@ -26,7 +27,9 @@ from spherejax.studies.sensitivity.unknowns import FlatBuild
 ERRORS = "the errors of the derivatives are controlled along a mixture of all parameters, not one by one"
 
 
-def reverse(flat: FlatBuild, numbers, times, wanted: tuple[WantedObservables, ...], method: RunMethod) -> RunWithSlopes:
+def reverse(
+    flat: FlatBuild, numbers, times, wanted: tuple[WantedObservables, ...], settings: RunSettings
+) -> RunWithSlopes:
     """The run, and the gradient of the one number that is wanted of it; see
     `motion.derivatives.pullback`.
 
@@ -34,17 +37,18 @@ def reverse(flat: FlatBuild, numbers, times, wanted: tuple[WantedObservables, ..
     derivatives of a run that failed are NaN.
     """
     (number,) = wanted
-    prepared = prepare(flat, numbers, times, method)
-    plan, options, known, ts = prepared.plan, prepared.options, prepared.known, prepared.ts
+    prepared = prepare(flat, numbers, times, settings)
+    plan, known = prepared.plan, prepared.known
     numbers = jnp.asarray(numbers)
     scale = scales_of(numbers)
-    values, directions, are_legal = traced_numbers(flat, plan, numbers, scale, method.track_work)
+    values, directions, are_legal = traced_numbers(flat, plan, numbers, scale, settings.track_work)
     warn_of_kinks(names_of_kinks(plan))
-    made = run_of(plan, options, values, known, ts, prepared.start, are_legal)
+    inputs = RunInputs(values, known, prepared.ts, prepared.start, are_legal)
+    made = run_of(plan, prepared.method, inputs)
     value, (by_values, by_ys) = _value_and_slopes(prepared, number, values, made.ys)
     slopes = np.full(numbers.size, np.nan)
     if int(made.status) == Status.SUCCEEDED:
-        by_run = gradient_of(plan, options, values, directions, known, ts, prepared.start, are_legal, by_ys)
+        by_run = gradient_of(plan, prepared.method, inputs, directions, by_ys)
         slopes = np.asarray(directions @ (by_values + by_run) / scale)
     run = observable_run(prepared, plan.theta(values, known), made.ys)
     stats = replace(run.stats, n_steps=made.stats.n_steps)

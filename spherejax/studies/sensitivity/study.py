@@ -14,8 +14,9 @@ from spherejax.model.system import System, compile_scene
 from spherejax.motion.results.trajectory import Trajectory
 from spherejax.motion.runs.many import Build, built
 from spherejax.motion.runs.simulate import checked_times
+from spherejax.motion.settings import RunSettings
 from spherejax.studies.fit.observables import Observable, labels_of, observable
-from spherejax.studies.sensitivity.forward import RunMethod, forward
+from spherejax.studies.sensitivity.forward import forward
 from spherejax.studies.sensitivity.reverse import reverse
 from spherejax.studies.sensitivity.sensitivity_result import Sensitivities, SlopesColumn
 from spherejax.studies.sensitivity.unknowns import FlatBuild, unknowns_of
@@ -74,10 +75,10 @@ def sensitivity(
     except TypeError as error:
         raise SceneError(f"build cannot be called with the parameters {', '.join(parameters)}: {error}") from error
     wanted = _observables(observables, of, compile_scene(scene).system)
-    method = RunMethod(rtol, atol, solver, max_steps, _needs_work(wanted))
+    settings = RunSettings(rtol, atol, solver, max_steps=max_steps, track_work=_needs_work(wanted))
     chosen, why = _mode(mode, of is not None, len(numbers))
     compute = forward if chosen == "forward" else reverse
-    found = compute(flat, numbers, times, wanted, method)
+    found = compute(flat, numbers, times, wanted, settings)
     columns = tuple(_column(each, *its) for each, its in zip(wanted, found.observed, strict=True))
     run = found.run
     return Sensitivities(

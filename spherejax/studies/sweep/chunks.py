@@ -21,7 +21,7 @@ from spherejax.foundations.errors import SceneError
 from spherejax.motion.integration.audit import cautions
 from spherejax.motion.integration.status import Status
 from spherejax.motion.results.run_flags import flags_of
-from spherejax.motion.runs.batch_setup import LaneMethod
+from spherejax.motion.runs.batch_setup import BatchSettings
 from spherejax.motion.runs.many import many
 from spherejax.motion.runs.traced_functions import Build
 from spherejax.program_cache import cached_jit
@@ -34,14 +34,14 @@ class ChunkWork:
 
     Attributes:
         build: makes a scene from the parameters.
-        method: how to integrate.
+        settings: how to integrate.
         record: what is kept.
         ts: sample times [s].
         size: runs in a chunk.
     """
 
     build: Build
-    method: LaneMethod
+    settings: BatchSettings
     record: Record
     ts: tuple[float, ...]
     size: int
@@ -127,7 +127,7 @@ def filled(work: ChunkWork, rows: Rows) -> tuple[Rows, np.ndarray]:
 
 def made(work: ChunkWork, rows, is_wanted) -> tuple[dict[str, Any], tuple]:
     """The runs of a chunk: what is kept of them, and status, time, steps, steps of lanes (of each chunk), audit."""
-    runs = many(work.build, work.method, rows, jnp.asarray(work.ts), is_wanted)
+    runs = many(work.build, work.settings, rows, jnp.asarray(work.ts), is_wanted)
     stats = runs.trajectories.stats
     status, t_reached = runs.trajectories.status, runs.trajectories.t_reached
     outcome = (status, t_reached, stats.n_steps, stats.n_rejected, runs.n_lane_steps[None], stats.audit)

@@ -15,7 +15,7 @@ import numpy as np
 from spherejax.motion.integration.audit import CHECKS
 from spherejax.motion.integration.lanes import LaneOutcome
 from spherejax.motion.results.trajectory import Trajectory
-from spherejax.motion.runs.batch_setup import LaneMethod, PreparedRuns
+from spherejax.motion.runs.batch_setup import BatchSettings, PreparedRuns
 from spherejax.motion.runs.traced_functions import built, numbers_fingerprint
 from spherejax.program_cache.fingerprints import (
     Traced,
@@ -56,13 +56,13 @@ def _traced_function(kept: Kept) -> TracedFunction | None:
 
 
 def with_known_functions(
-    wanted: Record, build: TracedFunction, method: LaneMethod, grid: Grid, ts: np.ndarray
+    wanted: Record, build: TracedFunction, settings: BatchSettings, grid: Grid, ts: np.ndarray
 ) -> Record:
     """The record, its functions identified by what they compute: two calls with equal lambdas share one program."""
     if not any((kept.inner or kept).function for kept in wanted.kept):
         return wanted
     one = {name: jax.ShapeDtypeStruct((), jnp.float64) for name in grid.names}
-    run = jax.eval_shape(partial(_run_of, build, method, jnp.asarray(ts)), one)
+    run = jax.eval_shape(partial(_run_of, build, settings, jnp.asarray(ts)), one)
     return Record(tuple(_known(kept, run, False) for kept in wanted.kept))
 
 
@@ -78,9 +78,9 @@ def _known(kept: Kept, run: Trajectory, has_slopes: bool) -> Kept:
     return replace(kept, function=TracedFunction.of(kept.function, traced))
 
 
-def _run_of(build: TracedFunction, method: LaneMethod, ts, parameters) -> Trajectory:
+def _run_of(build: TracedFunction, settings: BatchSettings, ts, parameters) -> Trajectory:
     """What a function is given, with zeros where the integration would be: only shapes matter."""
-    prepared = PreparedRuns(partial(built, build), method, ts)
+    prepared = PreparedRuns(partial(built, build), settings, ts)
     start = prepared.start_of_state(parameters)
     zero, n_contacts = jnp.zeros((), jnp.int64), len(prepared.contact_joints)
     ys = jnp.zeros((len(ts), len(start.y0)))

@@ -11,7 +11,7 @@ from spherejax.foundations.errors import SceneError
 from spherejax.model.scene import Scene
 from spherejax.model.system import compile_scene, flatten_system
 from spherejax.motion.integration.widths import platform_of_runs
-from spherejax.motion.runs.batch_setup import LaneMethod
+from spherejax.motion.runs.batch_setup import BatchSettings
 from spherejax.motion.runs.traced_functions import Build, built
 from spherejax.studies.sweep.commit import commit_of
 from spherejax.studies.sweep.grids import Grid
@@ -39,10 +39,11 @@ def example_of(build: Build, grid: Grid) -> Scene:
     raise problem
 
 
-def provenance(scene: Scene, grid: Grid, method: LaneMethod, ts: np.ndarray, wanted: Record) -> dict[str, Any]:
+def provenance(scene: Scene, grid: Grid, settings: BatchSettings, ts: np.ndarray, wanted: Record) -> dict[str, Any]:
     """Scene, tolerances, method, versions, commit."""
     from importlib.metadata import version
 
+    runs = settings.runs
     structure, theta = flatten_system(compile_scene(scene).system)
     # A function in the scene is printed with its address, which is another one in each process.
     described = re.sub(r" at 0x[0-9a-f]+", "", repr((structure.tree, structure.shapes)))
@@ -53,12 +54,12 @@ def provenance(scene: Scene, grid: Grid, method: LaneMethod, ts: np.ndarray, wan
         "grid_kind": grid.kind,
         "record": wanted.described,
         "times": times_fingerprint(ts),
-        "rtol": float(method.rtol),
-        "atol": "by component" if method.atol is None else float(method.atol),
-        **({} if method.derivative_rtol is None else {"derivative_rtol": method.derivative_rtol}),
-        "method": method.choice.reason,
-        "max_steps": method.max_steps,
-        "lanes": method.block.in_words,
+        "rtol": float(runs.rtol),
+        "atol": "by component" if runs.atol is None else float(runs.atol),
+        **({} if runs.derivative_rtol is None else {"derivative_rtol": float(runs.derivative_rtol)}),
+        "method": settings.reason,
+        "max_steps": runs.max_steps,
+        "lanes": settings.block.in_words,
         "platform": platform_of_runs(),
         **{f"{name}_version": version(name) for name in ("spherejax", "jax", "diffrax")},
         "commit": commit_of(Path.cwd()),

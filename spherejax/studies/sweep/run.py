@@ -18,9 +18,10 @@ from spherejax.model.system import compile_scene
 from spherejax.motion.integration.lanes import Block
 from spherejax.motion.integration.widths import block_for
 from spherejax.motion.results.dataset import NOT_UNIQUE
-from spherejax.motion.runs.many import check_sensitivities, method_for, warn_of_starts, with_sensitivities
-from spherejax.motion.runs.simulate import ENOUGH_STEPS, check_tolerances, checked_times
+from spherejax.motion.runs.many import batch_settings, check_parameters, check_sensitivities, warn_of_starts
+from spherejax.motion.runs.simulate import checked_times
 from spherejax.motion.runs.traced_functions import Build, known_build
+from spherejax.motion.settings import DEFAULT_MAX_STEPS, RunSettings
 from spherejax.motion.start.redundancy import undetermined_reactions_of
 from spherejax.runtime import require_float64
 from spherejax.studies.sweep.chunks import ChunkWork
@@ -58,7 +59,7 @@ def sweep(
     atol: float | None = None,
     solver: diffrax.AbstractSolver | None = None,
     derivative_rtol: float | None = None,
-    max_steps: int = 20_000_000,
+    max_steps: int = DEFAULT_MAX_STEPS,
     block: Block | None = None,
     chunk: int | None = None,
     workers: int | None = None,
@@ -106,8 +107,7 @@ def sweep(
     require_float64()
     grid = as_grid(grid)
     times = np.asarray(checked_times(ts))
-    check_tolerances(rtol, atol, derivative_rtol)
-    max_steps = whole_number("max_steps", max_steps, ENOUGH_STEPS)
+    settings = RunSettings(rtol, atol, solver, derivative_rtol=derivative_rtol, max_steps=max_steps).checked()
     if chunk is not None:
         chunk = whole_number("chunk", chunk, "Leave it out for a size by memory and workers.")
     if workers is not None:
@@ -124,17 +124,18 @@ def sweep(
         lanes = block or block_for()
         some = _some_runs(grid)
         warn_of_starts(build, _some_runs(grid, 16), times)
-        method = method_for(build, some, rtol, atol, solver, max_steps, wanted.needs_work, lanes)
-        method = with_sensitivities(method._replace(watch=wanted.watched), wanted.by, some, derivative_rtol)
-        check_sensitivities(build, method, some)
-        build = known_build(build, grid.row(0), method.track_work, method.by)
-        wanted = with_known_functions(wanted, build, method, grid, times)
+        check_parameters(wanted.by, some, derivative_rtol)
+        batch = batch_settings(build, some, settings.replaced(track_work=wanted.needs_work), lanes)
+        batch = batch._replace(watch=wanted.watched, by=wanted.by)
+        check_sensitivities(build, batch, some)
+        build = known_build(build, grid.row(0), wanted.needs_work, batch.by)
+        wanted = with_known_functions(wanted, build, batch, grid, times)
         workers = workers or default_workers()
         size = stored or chunk or _chunk_size(grid.n_runs, workers, lanes, len(times) * len(system.bodies))
-        work = ChunkWork(build, method, wanted, tuple(times.tolist()), min(size, grid.n_runs))
+        work = ChunkWork(build, batch, wanted, tuple(times.tolist()), min(size, grid.n_runs))
         if stored is None and chunk is None and executor is None:
             work = paced(work, some_runs=partial(_some_runs, grid), n_runs=grid.n_runs, workers=workers)
-        facts = {**provenance(example, grid, method, times, wanted), **_marks(example, wanted, float(times[0]))}
+        facts = {**provenance(example, grid, batch, times, wanted), **_marks(example, wanted, float(times[0]))}
         results = Results(grid, work, path, facts, identity_of(build, grid, wanted))
         with reporting(progress, grid.n_runs) as report:
             run_chunks(results, worker_pool_for(results, workers, executor), report)

@@ -90,7 +90,7 @@ def paced(work: ChunkWork, *, some_runs: Callable[[int], Any], n_runs: int, work
         n_runs: of the sweep.
         workers: chunks that are computed at the same time.
     """
-    width = work.method.block.width
+    width = work.settings.block.width
     fewest = FEWEST_FOR_EACH_LANE * width
     if work.size < 2 * fewest or len(jax.local_devices()) > 1:
         return work

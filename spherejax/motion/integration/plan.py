@@ -1,7 +1,7 @@
-"""What a run is compiled for, how it is integrated, and what a program of it needs of the system."""
+"""What a run is compiled for, its numbers, and what a program of it needs of the system."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -10,7 +10,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from spherejax.foundations.lanes import in_lanes
 from spherejax.foundations.types import Number, Scalar
@@ -19,14 +19,31 @@ from spherejax.motion.equations.contacts import crossings, initial_memory, kinks
 from spherejax.motion.equations.programs import Program, program_for
 from spherejax.motion.equations.projection import correction_of
 from spherejax.motion.equations.sampling import initial_force_memory
-from spherejax.motion.integration.audit import Audit, Limits, limits_of, look_of
+from spherejax.motion.integration.audit import Audit, look_of
 from spherejax.motion.integration.longest_step import room_for
 from spherejax.motion.integration.sensitivity_rows import scales_of
 from spherejax.motion.integration.statistics import Statistics
-from spherejax.motion.solvers.automatic import AtStart
 from spherejax.motion.solvers.landing import ContactFunctions, without_memory
 from spherejax.motion.solvers.traits import is_explicit, n_stages_of_end
 from spherejax.motion.start.assembly import Assembly, as_ideal, assemble
+
+
+class RunInputs(NamedTuple):
+    """The numbers of a run.
+
+    Attributes:
+        values: those that the caller traces; of a run that starts from a traced state with that state behind them.
+        known: the others, with zeros for these.
+        ts: sample times [s].
+        start: the consistent start, where it is known; None to assemble it.
+        values_are_legal: whether the scene's conditions hold.
+    """
+
+    values: Any
+    known: Any
+    ts: Any
+    start: Assembly | None
+    values_are_legal: Any
 
 
 @dataclass(frozen=True)
@@ -53,12 +70,16 @@ class Plan:
         source[list(self.unknown)] = known.shape[0] + np.arange(len(self.unknown))
         return jnp.concatenate([known, values])[source]
 
-    def start(self, values: Float[Array, " n_values"], start: Assembly | None) -> Assembly | None:
-        """The start of the run, from what is traced: of one that starts from a traced state, with that state."""
+    def start_of(self, inputs: RunInputs) -> Assembly | None:
+        """The start of the run: of one that starts from a traced state, with that state."""
         if not self.from_state:
-            return start
-        assert start is not None
-        return start._replace(y=values[len(self.unknown) :])
+            return inputs.start
+        assert inputs.start is not None
+        return inputs.start._replace(y=inputs.values[len(self.unknown) :])
+
+    def theta_of(self, inputs: RunInputs) -> Float[Array, " p"]:
+        """All numbers of the system."""
+        return self.theta(inputs.values, inputs.known)
 
     def scales(self, values: Any) -> Any:
         """What derivatives by the traced numbers are multiplied by while they are integrated, shape (n_values,).
@@ -69,31 +90,6 @@ class Plan:
         if not self.from_state:
             return scales_of(values)
         return jnp.concatenate([jnp.asarray(scales_of(values[:n])), jnp.maximum(jnp.abs(values[n:]), 1.0)])
-
-
-class Options(eqx.Module):
-    """How to integrate.
-
-    Attributes:
-        solver: diffrax solver.
-        controller: diffrax step-size controller.
-        max_steps: largest number of steps.
-        budget: the same as a number that may be traced, so that one program serves all, or None.
-        at_start: another solver, for a run whose numbers call for it when it starts, or None.
-        slack: how much larger the errors of sensitivities may be than the state's; None for what the method has.
-    """
-
-    solver: diffrax.AbstractSolver
-    controller: diffrax.AbstractStepSizeController
-    max_steps: int = eqx.field(static=True)
-    budget: Int[Array, ""] | None = None
-    at_start: AtStart | None = None
-    slack: Float[Array, ""] | None = None
-
-    @property
-    def decided(self) -> "Options":
-        """The same with the solver alone."""
-        return replace(self, at_start=None)
 
 
 class Parameters(NamedTuple):
@@ -146,12 +142,6 @@ def audit_of(plan: Plan) -> Audit:
     """What is looked at, at the end of each step."""
     look = look_of(plan.structure, plan.scalar)
     return Audit(lambda parameters, t, y: look(parameters.theta, t, y), lambda parameters: parameters.limits)
-
-
-def audit_limits(plan: Plan, options: Options, theta: Float[Array, " p"]) -> Limits:
-    """From where on a run is wrong."""
-    limits = limits_of(plan.structure.system(theta), getattr(options.controller, "rtol", None), options.solver)
-    return jax.lax.stop_gradient(jax.tree.map(jnp.asarray, limits))
 
 
 def correction_for(plan: Plan) -> Callable | None:
