@@ -16,7 +16,7 @@ import numpy as np
 from machine import write
 
 import spherejax as sj
-from spherejax.motion.runs import scene_cache
+from spherejax.motion.runs import preparation, simulate
 from spherejax.motion.start import tolerances
 
 USUAL = tolerances.CLEARANCES
@@ -61,8 +61,8 @@ CASES = {
 def place(case: Case, rtol: float, clearances: float = USUAL) -> tuple[np.ndarray, int, float]:
     """The place in the gap at the samples over the clearance, the steps, the estimate of its largest error."""
     tolerances.CLEARANCES = clearances
-    scene_cache._scenes.clear()  # they remember tolerances
-    scene_cache._calls.clear()
+    preparation.scene_tolerances.table.clear()
+    simulate._call.table.clear()
     run = sj.simulate(case.scene(), np.linspace(0.0, case.t1, N_SAMPLES), rtol=rtol, throw=True)
     clearance = float(run.clearance(case.joint))
     estimate = np.nan

@@ -15,13 +15,14 @@ from spherejax.model import scene as scenes
 from spherejax.model import system as systems
 from spherejax.model.system import compile_scene, with_laws_by_factor
 from spherejax.motion.equations.dynamics import state_rate
-from spherejax.motion.runs import scene_cache
+from spherejax.motion.runs import preparation
 from spherejax.motion.runs import simulate as simulating
-from spherejax.motion.runs.scene_cache import prepared
+from spherejax.motion.runs.again import again
+from spherejax.motion.runs.preparation import prepared
 from spherejax.program_cache.keys import LruCache, value_key
 
 TS = jnp.array([0.0, 0.1, 0.2])
-make = simulating._call
+make = simulating.call_of
 
 
 @pytest.fixture
@@ -33,10 +34,10 @@ def counted(monkeypatch):
         calls.append(scene)
         return original(scene, track_work=track_work)
 
-    original = scene_cache.compile_scene
-    monkeypatch.setattr(scene_cache, "compile_scene", compile_scene)
-    for remembered in ("_scenes", "_calls"):
-        monkeypatch.setattr(scene_cache, remembered, LruCache(64))
+    original = preparation.compile_scene
+    monkeypatch.setattr(preparation, "compile_scene", compile_scene)
+    for function in (prepared, simulating._call):
+        monkeypatch.setattr(function, "table", LruCache(64))
     return calls
 
 
@@ -91,10 +92,10 @@ def test_what_is_changed_in_place_changes_no_other_run(counted):
     for each in vars(run.system).values():
         if isinstance(each, dict):
             each.clear()
-    again = sj.simulate(pendulum(), TS)
-    assert float(again.position("rod")[-1, 2]) == first
+    repeated = sj.simulate(pendulum(), TS)
+    assert float(repeated.position("rod")[-1, 2]) == first
     assert len(counted) == 1
-    assert float(np.max(again.assembly.y)) < 1.1
+    assert float(np.max(repeated.assembly.y)) < 1.1
 
 
 @pytest.mark.parametrize(
@@ -113,17 +114,17 @@ def test_what_is_changed_in_place_changes_no_other_run(counted):
 def test_a_call_that_was_made_before_is_decided_once_and_answers_alike(counted, monkeypatch, options):
     """Whatever is asked for, after a plain call of the same scene: a call is not taken for another one."""
     decided = []
-    monkeypatch.setattr(simulating, "_call", lambda *asked: decided.append(asked) or make(*asked))
+    monkeypatch.setattr(simulating, "call_of", lambda *decisions: decided.append(decisions) or make(*decisions))
     scene = pendulum()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", sj.SimulationWarning)
         height(scene)
-        first, again = (sj.simulate(scene, TS, **options) for _ in range(2))
-        scene_cache._calls.clear()
+        first, second = (sj.simulate(scene, TS, **options) for _ in range(2))
+        simulating._call.table.clear()
         alone = sj.simulate(scene, TS, **options)
     # A controller holds functions, which are not compared: it is looked at each time.
     assert len(decided) == (4 if "stepsize_controller" in options else 3 if options else 2)
-    for other in (again, alone):
+    for other in (second, alone):
         assert jax.tree.structure(other) == jax.tree.structure(first)
         assert all(map(same, jax.tree.leaves(other), jax.tree.leaves(first)))
         assert not [1 for one, two in zip(arrays(other), arrays(first), strict=True) if np.shares_memory(one, two)]
@@ -147,21 +148,21 @@ def test_other_times_are_another_call(counted):
     first = sj.simulate(scene, times).ys[-1]
     times[-1] = 0.15
     assert np.abs(first - sj.simulate(scene, times).ys[-1]).max() > 0.1
-    assert len(scene_cache._calls) == 2
+    assert len(simulating._call.table) == 2
     with pytest.raises(sj.SceneError, match="increase"):
         sj.simulate(scene, times[::-1])
     sj.simulate(scene, list(times))  # not remembered: a list is slow to compare
-    assert len(scene_cache._calls) == 2
+    assert len(simulating._call.table) == 2
 
 
 def test_only_so_many_calls_are_kept(monkeypatch, counted):
-    monkeypatch.setattr(scene_cache._calls, "size", 2)
+    monkeypatch.setattr(simulating._call.table, "size", 2)
     scene = pendulum()
     for rtol in (1e-4, 1e-5, 1e-6):
         height(scene, rtol=rtol)
-    assert len(scene_cache._calls) == 2
-    sj.simulate(scene, jnp.linspace(0.0, 1e-3, scene_cache.MOST_TIMES + 1))
-    assert len(scene_cache._calls) == 2
+    assert len(simulating._call.table) == 2
+    sj.simulate(scene, jnp.linspace(0.0, 1e-3, simulating.MOST_TIMES + 1))
+    assert len(simulating._call.table) == 2
 
 
 @pytest.mark.parametrize(
@@ -175,7 +176,7 @@ def test_only_so_many_calls_are_kept(monkeypatch, counted):
 )
 def test_leaves_go_straight_to_their_places_only_where_there_are_no_others(of, is_remembered):
     made = []
-    function = scene_cache.again(lambda a, b: made.append(1) or of(a, b))
+    function = again(lambda a, b: made.append(1) or of(a, b))
     for a, b in ((1.0, [2.0, 3.0]), (4.0, [5.0, 6.0]), (7.0, [8.0, 9.0]), (0.0, [1.0, 2.0])):
         assert function(a, b) == of(a, b)
     assert len(made) == (3 if is_remembered else 7)
@@ -261,7 +262,7 @@ def test_traced_numbers_are_not_remembered_and_leave_nothing_behind(counted):
 
     compiled = jax.jit(end)
     assert float(compiled(1.0)) == pytest.approx(height(pendulum()), abs=1e-9)
-    assert all(not isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves([*scene_cache._scenes.values()]))
+    assert all(not isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves([*prepared.table.values()]))
 
     @jax.jit
     def known(x):
@@ -280,20 +281,20 @@ def test_a_driven_start_depends_on_its_time(counted):
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", sj.StartWarning)
-        early, late, again = (
+        early, late, twice = (
             np.asarray(sj.simulate(scene(), jnp.array(ts)).ys[0]) for ts in ([0.0, 0.1], [0.5, 0.6], [0.0, 0.1])
         )
-    assert np.array_equal(early, again)
+    assert np.array_equal(early, twice)
     assert np.max(np.abs(early - late)) > 0.1
     assert len(counted) == 1
 
 
 def test_only_so_many_are_kept(monkeypatch, counted):
-    monkeypatch.setattr(scene_cache._scenes, "size", 2)
+    monkeypatch.setattr(prepared.table, "size", 2)
     for mass in (1.0, 2.0, 3.0, 1.0, 3.0):
         prepared(pendulum(mass), False, None)
     assert len(counted) == 4
-    assert len(scene_cache._scenes) == 2
+    assert len(prepared.table) == 2
 
 
 def test_threads_share_them(counted):

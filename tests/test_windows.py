@@ -24,7 +24,7 @@ from spherejax.motion.results import observed as observing
 from spherejax.motion.results.observed import looked_up_at, observed
 from spherejax.motion.results.steps import COMPARED, _compared
 from spherejax.motion.results.steps import repeated_in_steps as repeated
-from spherejax.motion.runs import scene_cache
+from spherejax.motion.runs import simulate
 from spherejax.program_cache import cached_jit
 
 PROGRAMS = (started, advance_window, integrated, observed, looked_up_at)
@@ -34,9 +34,9 @@ def at_once(monkeypatch, make):
     """A run whose program is one for its number of samples."""
     with monkeypatch.context() as patched:
         patched.setattr(one_run, "_are_known", lambda method, inputs: False)
-        scene_cache._calls.clear()
+        simulate._call.table.clear()
         run = make()
-    scene_cache._calls.clear()
+    simulate._call.table.clear()
     return run
 
 
@@ -58,7 +58,7 @@ def require_same(run, expected):
 def small_windows(monkeypatch):
     """Of seven samples: most steps of a fine run end in one and have samples in the next."""
     monkeypatch.setattr(windows, "WINDOW", 7)
-    scene_cache._calls.clear()
+    simulate._call.table.clear()
 
 
 def test_another_number_of_samples_needs_no_other_program():
@@ -134,7 +134,7 @@ def test_a_run_is_the_same_bits_wherever_it_pauses(name, turns, monkeypatch):
     scene = sj.gallery.four_bar(FOUR_BAR_MODELS[name])
 
     def made():
-        scene_cache._calls.clear()
+        simulate._call.table.clear()
         return sj.simulate(scene, np.linspace(0.0, 0.02, 199), track_work=True)
 
     whole = made()
@@ -157,7 +157,7 @@ def test_a_run_that_fails_between_pauses_fails_as_it_would(monkeypatch):
     scene = sj.gallery.four_bar(FOUR_BAR_MODELS["bushing"])
 
     def made():
-        scene_cache._calls.clear()
+        simulate._call.table.clear()
         with pytest.warns(sj.SimulationWarning):
             return sj.simulate(scene, np.linspace(0.0, 0.01, 61), max_steps=30)
 
@@ -189,7 +189,7 @@ def test_ctrl_c_stops_a_long_run_and_says_how_far_it_came(monkeypatch):
     scene, ts = sj.gallery.simple_pendulum(), np.linspace(0.0, 86400.0, 1001)
     one_run._pace.cache_clear()  # nothing is known of the time of a turn
     sj.simulate(scene, ts[:3] / 1000)  # compiled
-    scene_cache._calls.clear()
+    simulate._call.table.clear()
     steps = []
 
     def noted(pace, n_turns, seconds):
@@ -245,7 +245,7 @@ def test_a_known_run_is_numbers_where_something_else_is_traced():
 def test_runs_go_on_where_jax_looks_for_nan_and_infinity(looks_for):
     scene = sj.gallery.simple_pendulum()
     expected = sj.simulate(scene, np.linspace(0.0, 0.1, 6))
-    scene_cache._calls.clear()
+    simulate._call.table.clear()
     with looks_for(True):
         run = sj.simulate(scene, np.linspace(0.0, 0.1, 6))
         np.testing.assert_allclose(run.kinetic_energy, expected.kinetic_energy, rtol=1e-9, atol=1e-12)

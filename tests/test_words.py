@@ -28,7 +28,7 @@ BETTER = {
     r"\bshares? of what is allowed\b": "violation over its limit",
     r"\bevery arrow\b": "each stage",
     r"\bhow numbers scatter\b|\bnumbers that scatter\b": "uncertain parameters",
-    r"\bKNOWN_(SCENES|BUILDS)\b|\bknown_(scenes|builds)\b": "scene_cache, traced_functions",
+    r"\bKNOWN_(SCENES|BUILDS)\b|\bknown_(scenes|builds)\b": "preparation, traced_functions",
     r"\b(behind_tracers|waiting_for|collecting_later|make_known|by_value|line_writer|NumbersNow)\b": "see the module",
 }
 """What the project used to say, as regular expressions, and the term to search and to write."""

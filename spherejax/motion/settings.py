@@ -61,11 +61,6 @@ class RunSettings(eqx.Module):
         """Whether the largest number of steps is traced."""
         return not is_concrete(self.max_steps)
 
-    @property
-    def parts(self) -> tuple:
-        """All fields, in their order."""
-        return tuple(vars(self).values())
-
     def checked(self) -> "RunSettings":
         """The same, with a whole number of steps.
 

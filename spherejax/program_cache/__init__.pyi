@@ -3,6 +3,7 @@
 from . import disk_cache, fingerprints, folders, keys, settings, several_devices, user_code
 from .garbage import gc_paused
 from .jit import cached_jit
+from .keys import remembered
 
 __all__ = [
     "cached_jit",
@@ -11,6 +12,7 @@ __all__ = [
     "folders",
     "gc_paused",
     "keys",
+    "remembered",
     "settings",
     "several_devices",
     "user_code",

@@ -14,8 +14,9 @@ An object may say what stands for it in fingerprints by a method `__cache_key__`
 import struct
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
+from functools import wraps
 from threading import Lock
-from typing import Any
+from typing import Any, TypeVar, cast
 
 import equinox as eqx
 import jax
@@ -25,6 +26,8 @@ import numpy as np
 from spherejax.program_cache.garbage import gc_paused
 from spherejax.program_cache.jaxprs import is_tracing
 from spherejax.program_cache.user_code import user_code_fingerprint
+
+_Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
 class CacheKey:
@@ -220,6 +223,37 @@ def lru_get(cache: LruCache, key: Hashable | None, make: Callable[[], Any]) -> A
 
     # Asked after a miss alone: it takes 5 us, and what is in the table serves a trace as well.
     return cache.get(key, made, may_enter=lambda: not is_tracing())
+
+
+def remembered(
+    size: int, key: Callable[..., Hashable | None] | None = None, *, copied: bool = False
+) -> Callable[[_Function], _Function]:
+    """A decorator for a pure function whose results are kept, by the values of its arguments.
+
+    The wrapped function has its table of results as `.table`.
+
+    Args:
+        size: how many results are kept.
+        key: that of the arguments, which it is given as they are; None for no key: then nothing is kept. By default
+            their `value_key`.
+        copied: whether each caller gets containers and NumPy arrays of its own, so that who writes into them changes
+            no other result.
+    """
+
+    def decorate(function: _Function) -> _Function:
+        table = LruCache(size)
+
+        @wraps(function)
+        def call(*arguments: Any) -> Any:
+            values = value_key(arguments) if key is None else key(*arguments)
+            result = lru_get(wrapped.table, values, lambda: function(*arguments))
+            return own_arrays(result) if copied else result
+
+        wrapped: Any = call
+        wrapped.table = table
+        return cast(_Function, wrapped)
+
+    return decorate
 
 
 def own_arrays(tree: Any) -> Any:

@@ -15,7 +15,7 @@ from spherejax.model.scene import Scene
 from spherejax.motion.integration.status import SimulationError, Status
 from spherejax.motion.results.motion_state import MotionState
 from spherejax.motion.results.trajectory import Trajectory
-from spherejax.motion.runs.scene_cache import PreparedScene, prepared, prepared_system
+from spherejax.motion.runs.preparation import PreparedScene, prepared, prepared_system
 from spherejax.motion.runs.simulate import CarriedStart, call_of, checked_times, read_once, reported
 from spherejax.motion.settings import DEFAULT_MAX_STEPS, RunSettings
 from spherejax.motion.start.seam import carried_state

@@ -1,7 +1,7 @@
 """Simulate a scene: what is asked for is checked, what is left open is decided, and the run is made."""
 
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -39,8 +39,16 @@ from spherejax.motion.results.accuracy import Limits, limits_from
 from spherejax.motion.results.stopping import When, conditions_of, stopped
 from spherejax.motion.results.trajectory import Trajectory
 from spherejax.motion.runs.accurate import accurate
+from spherejax.motion.runs.again import again
 from spherejax.motion.runs.method_checks import check_control, check_solver
-from spherejax.motion.runs.scene_cache import PreparedScene, again, own_arrays, prepared, remembered_call
+from spherejax.motion.runs.preparation import (
+    PreparedScene,
+    chosen_method,
+    closed_start,
+    conditions_of_jumps,
+    prepared,
+    scene_tolerances,
+)
 from spherejax.motion.runs.times import seconds_of
 from spherejax.motion.settings import DEFAULT_MAX_STEPS, RunSettings
 from spherejax.motion.solvers.automatic import SolverChoice, choose_solver
@@ -49,6 +57,8 @@ from spherejax.motion.solvers.root_finder import with_converging_root_finder
 from spherejax.motion.start.assembly import Assembly
 from spherejax.motion.start.start_now import StartWarning
 from spherejax.motion.start.tolerances import controller_for, tolerances_in_all_units, tolerances_of
+from spherejax.program_cache import remembered
+from spherejax.program_cache.keys import own_arrays, value_key
 from spherejax.program_cache.user_code import read_once
 from spherejax.runtime import require_float64
 
@@ -151,7 +161,7 @@ def simulate(
     conditions = () if until is None else conditions_of(until)
     limits = None if accuracy is None else _limits(scene, ts, accuracy, settings)
     with read_once(), captures_explained([scene]):
-        call = remembered_call(scene, ts, settings, lambda: _call(scene, ts, settings))
+        call = _call(scene, ts, settings)
         for said in call.warnings:
             warnings.warn(said, StartWarning, stacklevel=2)
         run = call.run()
@@ -190,6 +200,21 @@ class _Call(NamedTuple):
     run: Callable[[], Trajectory]
 
 
+N_CALLS = 64
+"""Calls that are kept, of all scenes."""
+
+MOST_TIMES = 4096
+"""Sample times of a call that is kept: 64 calls then hold a few megabytes."""
+
+
+def _by_values(scene: Scene, ts: Any, settings: RunSettings) -> Hashable | None:
+    """The key of a call; of many sample times, or of a list, which is slow to compare, there is none."""
+    if not isinstance(ts, np.ndarray | jax.Array) or ts.size > MOST_TIMES:
+        return None
+    return value_key((scene, ts, settings))
+
+
+@remembered(N_CALLS, _by_values)
 def _call(scene: Scene, ts, settings: RunSettings) -> _Call:
     """A call of `simulate`; arguments as there."""
     ts, settings = checked_times(ts), settings.checked()
@@ -238,7 +263,7 @@ def call_of(prepared_scene: PreparedScene, carried: CarriedStart | None, ts, set
             "or leave adjoint= out"
         )
     method, said = method_of(prepared_scene, settings, choice, by_sensitivities)
-    start = prepared_scene.start(ts) if carried is None else None
+    start = closed_start(prepared_scene, ts) if carried is None else None
     assembly = None if start is None else start.assembly
     if carried is not None:
         assembly = carried.assembly(example_of(prepared_scene.structure).layout.n_bodies)
@@ -247,7 +272,7 @@ def call_of(prepared_scene: PreparedScene, carried: CarriedStart | None, ts, set
     plan = Plan(prepared_scene.structure, unknown, path.scalar, from_state)
     # Known times have been checked; here they would be a kernel of their own for each number of samples.
     conditions = [*prepared_scene.conditions, *settings.traced_conditions(), *traced_times(ts)]
-    conditions += prepared_scene.jump_conditions(ts)
+    conditions += conditions_of_jumps(prepared_scene, ts)
     if carried is not None:
         conditions += carried.conditions
     values_are_legal = jnp.all(jnp.stack(conditions)) if conditions else np.array(True)
@@ -316,7 +341,7 @@ def choice_of(prepared_scene: PreparedScene, settings: RunSettings) -> SolverCho
         SceneError: for a solver that cannot integrate a mechanism so.
     """
     if settings.solver is None or not settings.is_solver_named:
-        return prepared_scene.choice(settings.rtol)
+        return chosen_method(prepared_scene, settings.rtol)
     controller = settings.stepsize_controller
     is_judged = controller is None or isinstance(controller, diffrax.AbstractAdaptiveStepSizeController)
     return choice_for(None, settings.rtol, settings.solver, is_judged=is_judged)
@@ -411,7 +436,7 @@ def control_of(found: PreparedScene, rtol, atol, in_numbers: bool = False) -> tu
         in_numbers: whether tolerances must be numbers, the same for all entries of the state.
     """
     if atol is None and not in_numbers:
-        tolerances, controller = found.tolerances(rtol)
+        tolerances, controller = scene_tolerances(found, rtol)
     else:
         tolerances = tolerances_in_all_units(rtol) if atol is None else tolerances_of(found.system(), rtol, atol)
         controller = controller_for(found.structure, tolerances.rtol, tolerances.atol)

@@ -4,7 +4,7 @@ A step is a run between two times, by the method and to the tolerance of the sta
 """
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -32,7 +32,13 @@ from spherejax.motion.integration.plan import Plan, RunInputs, beginning
 from spherejax.motion.integration.status import SimulationError, SimulationWarning, Status, start_status
 from spherejax.motion.results.motion_state import MotionState
 from spherejax.motion.runs.continuation import reached, refuse_failed
-from spherejax.motion.runs.scene_cache import prepared, prepared_system, remembered_stepper
+from spherejax.motion.runs.preparation import (
+    N_SCENES,
+    closed_start,
+    conditions_of_jumps,
+    prepared,
+    prepared_system,
+)
 from spherejax.motion.runs.simulate import (
     CarriedStart,
     checked_times,
@@ -43,7 +49,7 @@ from spherejax.motion.runs.simulate import (
 )
 from spherejax.motion.settings import DEFAULT_MAX_STEPS, RunSettings
 from spherejax.motion.start.start_now import StartWarning
-from spherejax.program_cache import cached_jit
+from spherejax.program_cache import cached_jit, remembered
 from spherejax.runtime import require_float64
 
 GEOMETRY = ("attachment", "coordinate", "place")
@@ -97,10 +103,10 @@ def start(
     with read_once(), captures_explained([scene]):
         prepared_scene = prepared(scene, track_work, scalar)
         choice = choice_of(prepared_scene, settings)
-        assembled = prepared_scene.start(ts)
+        assembled = closed_start(prepared_scene, ts)
         for change in () if assembled is None else assembled.warnings:
             warnings.warn(change, StartWarning, stacklevel=2)
-        conditions = [*prepared_scene.conditions, *traced_times(ts), *prepared_scene.jump_conditions(ts)]
+        conditions = [*prepared_scene.conditions, *traced_times(ts), *conditions_of_jumps(prepared_scene, ts)]
         legal = jnp.all(jnp.stack(conditions)) if conditions else np.array(True)
         plan = Plan(prepared_scene.structure, prepared_scene.unknown, prepared_scene.path.scalar)
         values = (
@@ -288,11 +294,17 @@ class _Stepper(NamedTuple):
         return jnp.concatenate([jnp.ravel(jnp.asarray(part, jnp.float64)) for part in parts])[self.order]
 
 
-def _stepper_of(state: MotionState, names: tuple[str, ...]) -> _Stepper:
-    """That of a state; of one whose numbers are all known it is made once."""
+def _by_known_numbers(state: MotionState, names: tuple[str, ...]) -> Hashable | None:
+    """What steps are kept by; there is nothing for a state with traced numbers."""
     if any(leaf is None for leaf in state.known.leaves):
-        return _Stepper.of(state, names)
-    return remembered_stepper((state.known, state.settings, state.scalar, names), lambda: _Stepper.of(state, names))
+        return None
+    return state.known, state.settings, state.scalar, names
+
+
+@remembered(N_SCENES, _by_known_numbers)
+def _stepper_of(state: MotionState, names: tuple[str, ...]) -> _Stepper:
+    """What the steps of a state are made with."""
+    return _Stepper.of(state, names)
 
 
 def _place_of(system: System, name: Any) -> tuple[tuple[str, ...], tuple[int, ...]]:

@@ -12,7 +12,7 @@ import numpy as np
 from spherejax.foundations.errors import SceneError, one_of
 from spherejax.foundations.terminals import waiting_for
 from spherejax.model.scene import Scene
-from spherejax.motion.runs.scene_cache import prepared
+from spherejax.motion.runs.preparation import chosen_method, closed_start, prepared
 from spherejax.motion.runs.simulate import choice_for
 from spherejax.motion.settings import check_tolerances
 from spherejax.motion.solvers.automatic import SolverChoice
@@ -131,8 +131,8 @@ def _choice(scene: Scene, kind: str, rtol: float, solver: diffrax.AbstractSolver
             f"export_fmu: force element {sampled[0]!r} samples at instants of its own, which an FMU in C has not; "
             "leave it out and give its effort as an input, which the importer samples"
         )
-    choice = found.choice(rtol) if solver is None else choice_for(None, rtol, solver)
-    start = found.start(np.zeros(1))
+    choice = chosen_method(found, rtol) if solver is None else choice_for(None, rtol, solver)
+    start = closed_start(found, np.zeros(1))
     for change in start.changes if start is not None else ():
         warnings.warn(change, StartWarning, stacklevel=3)
     return choice

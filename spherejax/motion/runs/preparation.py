@@ -1,0 +1,132 @@
+"""Scenes, prepared for runs: checked, split into structure and numbers, with method, tolerances and start.
+
+That takes several times longer than the motion itself, so each of these functions is remembered by the values of its
+arguments: a loop that simulates the same numbers again prepares them once. Scenes are compared by value, not by
+identity: a number that was changed, in a dictionary or within an array, makes another scene. What depends on traced
+numbers, or is asked for within a trace, is made each time.
+"""
+
+from collections.abc import Hashable
+from typing import Any
+
+import diffrax
+import jax
+
+from spherejax.foundations.behind_tracers import known_behind
+from spherejax.foundations.checks import is_concrete
+from spherejax.foundations.types import Numeric
+from spherejax.model.scene import Scene
+from spherejax.model.system import CompiledScene, System, compile_scene, flatten_system, split, with_laws_by_factor
+from spherejax.motion.equations.programs import path_of
+from spherejax.motion.solvers.automatic import SolverChoice, choose_solver
+from spherejax.motion.start.jumps import jump_conditions
+from spherejax.motion.start.points_beside import points_beside
+from spherejax.motion.start.start_now import KnownStart, known_start
+from spherejax.motion.start.tolerances import Tolerances, component_tolerances, controller_for
+from spherejax.program_cache import remembered
+from spherejax.program_cache.keys import own, own_arrays, value_key
+
+N_SCENES = 64
+"""Prepared scenes that are kept; the least recently used one is evicted."""
+
+N_ANSWERS = 256
+"""Choices of methods, tolerances, starts of all of them; 256 of each."""
+
+
+class PreparedScene:
+    """A scene, checked and taken apart.
+
+    Attributes:
+        structure: of the system that it calls for, with laws by their factors.
+        theta: all numbers of that.
+        path: scalar programs or array code.
+        known: the numbers that are known, with zeros elsewhere.
+        unknown: indices of the others.
+        conditions: on the numbers that are traced.
+        is_driven: whether the start depends on its time.
+        seen: the system with laws by their factors.
+        doubts: what looks like a mistake in the scene, in sentences.
+        is_explicit_only: whether the method must be an explicit one.
+    """
+
+    def __init__(self, compiled: CompiledScene, scalar: bool | None, doubts: tuple[str, ...] = ()):
+        self._system = own_arrays(compiled.system)
+        self._leaves, self._tree = jax.tree.flatten(self._system)
+        self.seen = with_laws_by_factor(self._system)
+        self.structure, self.theta = flatten_system(self.seen)
+        self.path = path_of(self.structure, scalar)
+        self.known, self.unknown = (self.theta, ()) if is_concrete(self.theta) else split(self.seen)
+        self.conditions = compiled.conditions
+        self.is_driven = self._system.is_driven
+        # On the array path the linear systems of a stiff method are dense.
+        self.is_explicit_only = self.path.scalar is False and scalar is None
+        self.doubts = doubts
+
+    def system(self) -> System:
+        """What the scene calls for; the caller's own, to write into."""
+        return self.system_of(self.leaves())
+
+    def leaves(self) -> list:
+        """Those of the system."""
+        return list(map(own, self._leaves))
+
+    def system_of(self, leaves: list) -> System:
+        """The system of its leaves."""
+        return jax.tree.unflatten(self._tree, leaves)
+
+
+def _by_scene(scene: PreparedScene, *numbers: Any) -> Hashable | None:
+    """The key of what follows from a prepared scene, which is that scene and no equal one, and from numbers."""
+    values = None if scene.unknown else value_key(numbers)
+    return None if values is None else (scene, values)
+
+
+def _by_scene_and_time(scene: PreparedScene, ts: Numeric) -> Hashable | None:
+    """As `_by_scene`; what is not driven starts alike at any time."""
+    return _by_scene(scene, ts) if scene.is_driven else _by_scene(scene)
+
+
+@remembered(N_SCENES)
+def prepared(scene: Scene, track_work: bool, scalar: bool | None) -> PreparedScene:
+    """A scene, checked and split into structure and numbers.
+
+    Raises:
+        SceneError: for a scene that cannot be simulated.
+    """
+    compiled = compile_scene(scene, track_work=track_work)
+    return PreparedScene(compiled, scalar, points_beside(scene, compiled.system))
+
+
+@remembered(N_SCENES)
+def prepared_system(system: System, scalar: bool | None) -> PreparedScene:
+    """The same of a scene that is compiled already, whose numbers have been checked and doubts been said."""
+    return PreparedScene(CompiledScene(system, []), scalar)
+
+
+@remembered(N_ANSWERS, _by_scene)
+def chosen_method(scene: PreparedScene, rtol: Any) -> SolverChoice:
+    """The method that a scene calls for."""
+    return choose_solver(scene.seen, rtol, explicit_only=scene.is_explicit_only)
+
+
+@remembered(N_ANSWERS, _by_scene)
+def scene_tolerances(scene: PreparedScene, rtol: Any) -> tuple[Tolerances, diffrax.PIDController]:
+    """Tolerances by the scales of a scene, and the step-size control with them."""
+    # A run and its derivative are judged by the same numbers: those behind the tracers of `jvp` and `grad`.
+    behind = known_behind((scene.seen, rtol))
+    system, known = behind[0] if len(behind) == 1 else (scene.seen, rtol)
+    tolerances = component_tolerances(system, known)
+    return tolerances, controller_for(scene.structure, tolerances.rtol, tolerances.atol)
+
+
+@remembered(N_ANSWERS, _by_scene_and_time, copied=True)
+def closed_start(scene: PreparedScene, ts: Numeric) -> KnownStart | None:
+    """The consistent start at the first of the times, where it is known, and what is to be said of it."""
+    start = known_start(scene.seen, ts)
+    return None if start is None else start._replace(doubts=(*start.doubts, *scene.doubts))
+
+
+@remembered(N_ANSWERS, _by_scene)
+def conditions_of_jumps(scene: PreparedScene, ts: Numeric) -> list:
+    """Conditions, traced, that no driver jumps; see `motion.start.jumps`."""
+    return jump_conditions(scene.seen, ts) if scene.is_driven else []
