@@ -613,6 +613,40 @@ def swept_sine() -> Figure:
     return sj.plot.swept_sine(found, title="A pendulum whose pivot is shaken")
 
 
+def inverse_dynamics() -> Figure:
+    """What the motors of the leg have to do for a step, with and without the masses of crank and rod."""
+    ts = np.linspace(0.0, 2 / 3, 201)
+    axis = (0.0, 1.0, 0.0)
+    motors = {
+        "motor of the thigh": sj.Turn(("ground", "thigh"), axis),
+        "motor of the crank": sj.Turn(("ground", "crank"), axis),
+    }
+    found = sj.inverse_dynamics(sj.gallery.leg(), ts, motors=motors)
+    figure, panels = plt.subplots(
+        3, 1, figsize=(7, 6.4), sharex=True, layout="constrained"
+    )
+    for name, color in zip(motors, LINES[1:], strict=False):
+        panels[0].plot(ts, found.effort(name), color=color, label=name)
+        panels[1].plot(ts, found.power(name), color=color)
+    for joint, color in zip(("hip", "knee", "rod_shank"), LINES, strict=False):
+        force = np.linalg.norm(found.reaction(joint), axis=1)
+        panels[2].plot(ts, force, color=color, label=f"joint {joint}")
+    panels[0].set_ylabel("moment [N m]")
+    panels[1].set_ylabel("power [W]")
+    panels[2].set(ylabel="reaction [N]", xlabel="t [s]")
+    for panel in panels:
+        panel.margins(x=0)
+    for panel in (panels[0], panels[2]):
+        panel.legend(
+            fontsize=8,
+            frameon=False,
+            ncols=3,
+            loc="lower center",
+            bbox_to_anchor=(0.5, 1.0),
+        )
+    return figure
+
+
 PICTURES: dict[str, Callable[[], Figure | Image.Image]] = {
     "four_bar": four_bar,
     "accelerations": accelerations,
@@ -634,6 +668,7 @@ PICTURES: dict[str, Callable[[], Figure | Image.Image]] = {
     "report": report,
     "suspension_over_bump": suspension,
     "wear": wear,
+    "inverse_dynamics": inverse_dynamics,
     **{f"scene_{name}": scene(name) for name in sj.gallery.__all__},
 }
 

@@ -175,6 +175,7 @@ from .studies.fit import (
     Whole,
     fit,
 )
+from .studies.inverse import InverseDynamics, InverseWarning, SampledMotion, inverse_dynamics
 from .studies.linear import Linearization, LinearizationWarning, Modes, linearize
 from .studies.model_choice import Candidate, ModelComparison, ModelEvidence, compare_models
 from .studies.rig import Corner, Rig, RigStatus, RigWarning, Vehicle, WheelLoads, rig, rig_samples
@@ -297,6 +298,8 @@ __all__ = [
     "ImplicitCurve",
     "Instants",
     "Integral",
+    "InverseDynamics",
+    "InverseWarning",
     "JohnsonCylinder",
     "LankaraniNikravesh",
     "LevenbergMarquardt",
@@ -361,6 +364,7 @@ __all__ = [
     "Runs",
     "SameOrientation",
     "SampledActuator",
+    "SampledMotion",
     "SampledPID",
     "Sampling",
     "ScalarProgram",
@@ -446,6 +450,7 @@ __all__ = [
     "generalized_stiffness",
     "half_sphere_load",
     "hybrid_weight",
+    "inverse_dynamics",
     "joint_models",
     "linearize",
     "load",

@@ -7,6 +7,7 @@ from spherejax.gallery.chain import chain
 from spherejax.gallery.four_bar import four_bar
 from spherejax.gallery.governor import governor
 from spherejax.gallery.hip import hip
+from spherejax.gallery.leg import leg
 from spherejax.gallery.n_four_bar import n_four_bar
 from spherejax.gallery.pendulums import double_pendulum, heavy_top, physical_pendulum, simple_pendulum
 from spherejax.gallery.piston import piston
@@ -25,6 +26,7 @@ __all__ = [
     "governor",
     "heavy_top",
     "hip",
+    "leg",
     "mcpherson",
     "n_four_bar",
     "physical_pendulum",

@@ -99,8 +99,12 @@ def constraint_feedback(system: System, t: Scalar, y: Float[Array, " size"]) -> 
 
 def constraint_jacobian(system: System, t: Scalar, y: Float[Array, " size"]) -> Float[Array, "n k"]:
     """D: Phi_dot = D v + Phi_t."""
-    constraints, _ = _constraints(system, t, y)
-    n_bodies = len(system.bodies)
+    return dense_jacobian(_constraints(system, t, y)[0])
+
+
+def dense_jacobian(constraints: ConstraintSet) -> Float[Array, "n k"]:
+    """D as one array, its rows in the order of the constraint set."""
+    n_bodies = len(constraints.names)
     rows = [jnp.zeros((0, n_bodies * VELOCITY_SIZE))]
     for row_group in constraints.groups:
         dense = jnp.zeros(())
@@ -155,8 +159,13 @@ def energies(system: System, t: Scalar, y: Float[Array, " size"]) -> Energies:
 
 def constraint_rows(system: System, t: Scalar, y: Float[Array, " size"]) -> dict[str, slice]:
     """Which entries of a vector of constraint equations belong to each joint (static)."""
+    return rows_of_joints(_constraints(system, t, y)[0])
+
+
+def rows_of_joints(constraints: ConstraintSet) -> dict[str, slice]:
+    """The same of a constraint set."""
     places, start = {}, 0
-    for row_group in _constraints(system, t, y)[0].groups:
+    for row_group in constraints.groups:
         for name in row_group.group.names:
             places[name] = slice(start, start + row_group.shape[1])
             start += row_group.shape[1]
