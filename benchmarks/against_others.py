@@ -51,17 +51,17 @@ class Case(NamedTuple):
     """A scene and a duration [s], the tightest useful tolerance of the reference, and who runs it."""
 
     title: str
-    model: sj.AbstractSphericalModel
+    model: sj.joints.AbstractSphericalModel
     duration: float
     tight: float
     methods: tuple[str, ...]
 
 
-OURS = {"Dopri8": diffrax.Dopri8(), "Dop853": sj.Dop853(), "Rodas5P": sj.Rodas5P()}
+OURS = {"Dopri8": diffrax.Dopri8(), "Dop853": sj.solvers.Dop853(), "Rodas5P": sj.solvers.Rodas5P()}
 _FREE = ("Dopri8", "DOP853", "LSODA", "CVODE", "Radau")
 _friction = sj.Dry(1e-4, friction=sj.Threlfall())
 _film = sj.Lubricated(
-    1e-4, film=sj.RadialFilm(), normal=sj.LankaraniNikravesh(0.9)
+    1e-4, film=sj.laws.RadialFilm(), normal=sj.LankaraniNikravesh(0.9)
 )  # the hand-written equations have the paper's
 CASES = {
     "ideal": Case("ideal, 2 s", sj.Ideal(), 2.0, 1e-13, (*_FREE, "Rodas5P", "Exudyn")),
@@ -171,8 +171,8 @@ def timed(method: Method, setting: float) -> tuple[Run, float]:
 def rows_of(case: Case, quick: bool) -> list[dict]:
     """Every method at every tolerance, with errors."""
     reference = by_hand(case, problem(case.model))(case.tight).heights
-    is_stiff = isinstance(choice_for(case), sj.Rodas5P)
-    other = by_spherejax(case, sj.Rodas5P() if is_stiff else diffrax.Dopri5())
+    is_stiff = isinstance(choice_for(case), sj.solvers.Rodas5P)
+    other = by_spherejax(case, sj.solvers.Rodas5P() if is_stiff else diffrax.Dopri5())
     loose = max(case.tight, 1e-9 if is_stiff else 1e-11)
     difference = np.abs(other(loose).heights - reference)
     print(f"{case.title}: references differ by {difference[-1]:.1e} m at the end, {difference.max():.1e} m at most")

@@ -20,7 +20,12 @@ import spherejax as sj  # noqa: E402
 from spherejax.model.system import compile_scene  # noqa: E402
 from spherejax.motion.solvers.automatic import choose_solver  # noqa: E402
 
-METHODS = {"Dopri8": diffrax.Dopri8(), "Tsit5": diffrax.Tsit5(), "Rodas5P": sj.Rodas5P(), "Ros34PW2": sj.Ros34PW2()}
+METHODS = {
+    "Dopri8": diffrax.Dopri8(),
+    "Tsit5": diffrax.Tsit5(),
+    "Rodas5P": sj.solvers.Rodas5P(),
+    "Ros34PW2": sj.solvers.Ros34PW2(),
+}
 TRACED = "chosen of traced numbers"
 """The row of the choice that is made where `jax.jit` hides the numbers, as it does here."""
 TS = jnp.linspace(0.0, 0.2, 5)
@@ -36,7 +41,7 @@ FAMILIES = {
         [(1e-4, 0.4), (1e-4, 0.04), (1e-4, 4.0), (5e-5, 0.4), (2e-4, 0.4)],
     ),
     "paper's film c={} viscosity={}": (
-        lambda c, viscosity: sj.Lubricated(c, viscosity=viscosity, film=sj.RadialFilm()),
+        lambda c, viscosity: sj.Lubricated(c, viscosity=viscosity, film=sj.laws.RadialFilm()),
         [(1e-4, 0.4), (1e-4, 0.04), (1e-4, 4.0), (5e-5, 0.4), (2e-4, 0.4)],
     ),
     "friction c={} mu={}": (

@@ -31,7 +31,12 @@ import spherejax as sj  # noqa: E402
 from spherejax.model.system import compile_scene  # noqa: E402
 from spherejax.motion.solvers.automatic import choose_solver  # noqa: E402
 
-METHODS = {"Dopri8": diffrax.Dopri8(), "Tsit5": diffrax.Tsit5(), "Rodas5P": sj.Rodas5P(), "Ros34PW2": sj.Ros34PW2()}
+METHODS = {
+    "Dopri8": diffrax.Dopri8(),
+    "Tsit5": diffrax.Tsit5(),
+    "Rodas5P": sj.solvers.Rodas5P(),
+    "Ros34PW2": sj.solvers.Ros34PW2(),
+}
 RTOLS = (1e-4, 1e-6, 1e-8)
 MAX_STEPS = 100_000
 LONGEST = 60.0
@@ -40,7 +45,7 @@ ROUNDING = 1e-13
 """Errors [m] below this count as this."""
 
 
-def controlled_four_bar(model: sj.AbstractSphericalModel) -> sj.Scene:
+def controlled_four_bar(model: sj.joints.AbstractSphericalModel) -> sj.Scene:
     """The four-bar with a PID controller at its crank."""
     scene = sj.gallery.four_bar(model)
     turn = sj.Turn(("ground", "crank"), axis=(0.0, 1.0, 0.0))

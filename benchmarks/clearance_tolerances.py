@@ -24,7 +24,7 @@ CLEARANCES = (USUAL, 100.0, 10.0, 1.0)
 RTOLS = (1e-6, 1e-8)
 REFERENCE = 1e-12
 N_SAMPLES = 201
-CYLINDER = sj.JohnsonCylinder(0.02)
+CYLINDER = sj.laws.JohnsonCylinder(0.02)
 FRICTION = sj.Threlfall(mu=0.1)
 
 
@@ -48,7 +48,7 @@ CASES = {
     "piston, dry journal": piston(sj.Dry(5e-4, conformity=CYLINDER), 0.024),
     "piston, dry journal, 0.1 mm": piston(sj.Dry(1e-4, conformity=CYLINDER), 0.024),
     "piston, journal with film": piston(
-        sj.Lubricated(5e-5, 0.1, film=sj.ShortBearing(0.02), conformity=CYLINDER), 0.02
+        sj.Lubricated(5e-5, 0.1, film=sj.laws.ShortBearing(0.02), conformity=CYLINDER), 0.02
     ),
     "four-bar, dry": four_bar(sj.Dry(1e-4), 0.1),
     "four-bar, friction": four_bar(sj.Dry(1e-4, friction=FRICTION), 0.2),

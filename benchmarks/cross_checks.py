@@ -33,7 +33,7 @@ class Case(NamedTuple):
 
 
 def elastic_four_bar() -> sj.Scene:
-    return sj.gallery.four_bar(sj.Bushing(law=sj.VectorElastomer(1e5, 1e-3)))
+    return sj.gallery.four_bar(sj.Bushing(law=sj.laws.VectorElastomer(1e5, 1e-3)))
 
 
 CASES = {

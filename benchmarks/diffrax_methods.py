@@ -30,7 +30,7 @@ SOLVERS = {
     "as chosen": None,
     "Dopri8": diffrax.Dopri8(),
     "Tsit5": diffrax.Tsit5(),
-    "Rodas5P": sj.Rodas5P(),
+    "Rodas5P": sj.solvers.Rodas5P(),
     "Kvaerno3": diffrax.Kvaerno3(),
     "Kvaerno5": diffrax.Kvaerno5(),
 }

@@ -19,11 +19,11 @@ import numpy as np  # noqa: E402
 import spherejax as sj  # noqa: E402
 
 CONTROLS = {
-    "none": sj.NoDriftControl(),
-    "Baumgarte, 5 1/s": sj.Baumgarte(),
-    "Baumgarte, 50 1/s": sj.Baumgarte(50.0, 50.0),
-    "post-stabilization": sj.PostStabilization(),
-    "projection": sj.Projection(),
+    "none": sj.solvers.NoDriftControl(),
+    "Baumgarte, 5 1/s": sj.solvers.Baumgarte(),
+    "Baumgarte, 50 1/s": sj.solvers.Baumgarte(50.0, 50.0),
+    "post-stabilization": sj.solvers.PostStabilization(),
+    "projection": sj.solvers.Projection(),
 }
 DURATIONS = (2.0, 1000.0)
 TOLERANCES = (1e-6, 1e-8)

@@ -16,7 +16,7 @@ import jax.numpy as jnp  # noqa: E402
 
 import spherejax as sj  # noqa: E402
 
-PAPERS_FILM = sj.Lubricated(1e-4, film=sj.RadialFilm(), normal=sj.LankaraniNikravesh(0.9))
+PAPERS_FILM = sj.Lubricated(1e-4, film=sj.laws.RadialFilm(), normal=sj.LankaraniNikravesh(0.9))
 """With the paper's contact as well: the hand-written equations have no other."""
 
 CASES = {

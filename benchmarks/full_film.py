@@ -21,16 +21,16 @@ TIMES = jnp.linspace(0.0, 2.0, 2001)
 JOINT = "coupler_rocker"
 
 
-def film(clearance: float, kind: sj.AbstractFilm) -> sj.Lubricated:
+def film(clearance: float, kind: sj.laws.AbstractFilm) -> sj.Lubricated:
     return sj.Lubricated(clearance=clearance, viscosity=0.4, film=kind)
 
 
 CASES = {
     "ideal": (sj.Ideal(), None),
-    "paper's film, c 0.10 mm": (film(1e-4, sj.RadialFilm()), 1e-4),
-    "full film, c 0.05 mm": (film(5e-5, sj.FullFilm()), 5e-5),
-    "full film, c 0.10 mm": (film(1e-4, sj.FullFilm()), 1e-4),
-    "full film, c 0.20 mm": (film(2e-4, sj.FullFilm()), 2e-4),
+    "paper's film, c 0.10 mm": (film(1e-4, sj.laws.RadialFilm()), 1e-4),
+    "full film, c 0.05 mm": (film(5e-5, sj.laws.FullFilm()), 5e-5),
+    "full film, c 0.10 mm": (film(1e-4, sj.laws.FullFilm()), 1e-4),
+    "full film, c 0.20 mm": (film(2e-4, sj.laws.FullFilm()), 2e-4),
 }
 
 

@@ -51,12 +51,12 @@ def rod_of_pendulum(ts) -> np.ndarray:
 
 def rubber() -> sj.Scene:
     """The four-bar with a bushing that relaxes and has friction inside."""
-    branches, friction = sj.Maxwell(stiffness=[6e4, 5e4], time=[0.1, 0.01]), sj.Berg(4.0, 1e-4)
+    branches, friction = sj.laws.Maxwell(stiffness=[6e4, 5e4], time=[0.1, 0.01]), sj.laws.Berg(4.0, 1e-4)
     return sj.gallery.four_bar(sj.Bushing(1e5, 1e-3, branches=branches, friction=friction))
 
 
 def dry_piston() -> sj.Scene:
-    return sj.gallery.piston(sj.Dry(5e-4, conformity=sj.JohnsonCylinder(0.02)))
+    return sj.gallery.piston(sj.Dry(5e-4, conformity=sj.laws.JohnsonCylinder(0.02)))
 
 
 four_bar = sj.gallery.four_bar
@@ -104,7 +104,7 @@ def reference_of(case: Case, ts) -> Reference:
     first = sj.simulate(case.scene(), ts, rtol=REFERENCE)
     if case.exact is not None:
         return Reference(case.exact(ts), 0.0)
-    other = sj.Rodas4P() if "Rodas" in first.choice else diffrax.Tsit5()
+    other = sj.solvers.Rodas4P() if "Rodas" in first.choice else diffrax.Tsit5()
     second = sj.simulate(case.scene(), ts, rtol=REFERENCE, solver=other)
     found = values(first, case.name)
     return Reference(found, float(np.max(size(found - values(second, case.name)))))
@@ -152,7 +152,7 @@ def choices(cases: dict[str, tuple[Case, Any, Reference]]) -> list[dict[str, obj
         if key not in runs:
             scene = case.scene()
             stiff = "film" in label
-            solver = (sj.Rodas4P() if stiff else sj.Dop853()) if is_other else None
+            solver = (sj.solvers.Rodas4P() if stiff else sj.solvers.Dop853()) if is_other else None
             run = sj.simulate(scene, ts, rtol=rtol, solver=solver)
             runs[key] = values(run, case.name), int(run.stats.n_steps)
         return runs[key]

@@ -18,7 +18,7 @@ import sys, time, equinox as eqx, jax, jax.numpy as jnp, spherejax as sj
 [getattr(sj, name) for name in sj.__all__]
 ts = jnp.linspace(0.0, 3.0, 31)
 
-class Learned(sj.AbstractForce):
+class Learned(sj.forces.AbstractForce):
     network: sj.Network
     @property
     def body_names(self):
@@ -26,7 +26,7 @@ class Learned(sj.AbstractForce):
     def wrenches(self, t, motions):
         ball = motions["ball"]
         force = self.network(jnp.stack([ball.position[0], ball.velocity[0]]))
-        return {{"ball": sj.Wrench(jnp.stack([force, 0 * force, 0 * force]), jnp.zeros(3))}}
+        return {{"ball": sj.forces.Wrench(jnp.stack([force, 0 * force, 0 * force]), jnp.zeros(3))}}
 
 def by_network(width):
     numbers = sj.Network(eqx.nn.MLP(2, "scalar", width, 2, activation=jnp.tanh, key=jax.random.key(1)))

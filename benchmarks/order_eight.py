@@ -1,4 +1,5 @@
-"""Two explicit methods of order eight: `diffrax.Dopri8`, the choice, and `sj.Dop853`, which is there to be asked for.
+"""Two explicit methods of order eight: `diffrax.Dopri8`, the choice, and `sj.solvers.Dop853`, which is there to be
+asked for.
 
     python benchmarks/order_eight.py     # half a minute
 
@@ -18,7 +19,7 @@ import spherejax as sj  # noqa: E402
 
 TOLERANCES = (1e-4, 1e-6, 1e-8, 1e-10)
 TIGHT = 1e-12
-SOLVERS = (diffrax.Dopri8(), sj.Dop853())
+SOLVERS = (diffrax.Dopri8(), sj.solvers.Dop853())
 MAX_STEPS = 1_000_000
 CASES = {
     "ideal, 2 s": (sj.Ideal(), 2.0),
@@ -29,7 +30,7 @@ CASES = {
 }
 
 
-def rows_of(name: str, model: sj.AbstractSphericalModel, duration: float) -> list[dict]:
+def rows_of(name: str, model: sj.joints.AbstractSphericalModel, duration: float) -> list[dict]:
     """Both methods at all tolerances."""
     scene, ts = sj.gallery.four_bar(model), jnp.linspace(0.0, duration, 21)
 

@@ -3,8 +3,8 @@
     python benchmarks/rig.py                    # 10,000 samples with ideal joints, 1,000 with bushes
     python benchmarks/rig.py --only ideal       # or --only rubber
 
-The program that `sj.rig_samples` makes: one sample after the other, on one core. Writes `results/rig.csv`: samples,
-positions of each, seconds to compile, seconds of a second call, scatter of toe.
+The program that `sj.vehicle.rig_samples` makes: one sample after the other, on one core. Writes `results/rig.csv`:
+samples, positions of each, seconds to compile, seconds of a second call, scatter of toe.
 """
 
 import argparse
@@ -23,8 +23,8 @@ HALF_WIDTH = 5e-4
 """Of each coordinate of each hardpoint [m], uniform."""
 
 MOVED = ("lower_ball", "upper_ball", "tie_rod_inner", "tie_rod_outer", "lower_arm_front", "upper_arm_front")
-DRAWN = {name: np.asarray(place) for name, place in sj.DOUBLE_WISHBONE.items() if name in MOVED}
-RUBBER = sj.MatrixElastomer.cylindrical(
+DRAWN = {name: np.asarray(place) for name, place in sj.vehicle.DOUBLE_WISHBONE.items() if name in MOVED}
+RUBBER = sj.laws.MatrixElastomer.cylindrical(
     (0.0, 0.0, 1.0),
     radial_stiffness=8e6,
     axial_stiffness=1e6,
@@ -37,7 +37,7 @@ RUBBER = sj.MatrixElastomer.cylindrical(
 def toe_of(shift, bushes):
     """Toe over travel of a corner whose hardpoints are shifted, shape (18,) [m]."""
     places = {name: place + part for (name, place), part in zip(DRAWN.items(), shift.reshape(-1, 3), strict=True)}
-    found = sj.rig(sj.gallery.double_wishbone(places, bushes=bushes), TRAVEL)
+    found = sj.vehicle.rig(sj.gallery.double_wishbone(places, bushes=bushes), TRAVEL)
     return found.toe
 
 

@@ -24,10 +24,10 @@ MODELS = {
     "dry, Threlfall": sj.Dry(1e-4, friction=sj.Threlfall()),
     "dry, LuGre": sj.Dry(1e-4, friction=sj.LuGre()),
     "lubricated": sj.Lubricated(1e-4),
-    "lubricated, paper's film": sj.Lubricated(1e-4, film=sj.RadialFilm(), normal=sj.LankaraniNikravesh(0.9)),
+    "lubricated, paper's film": sj.Lubricated(1e-4, film=sj.laws.RadialFilm(), normal=sj.LankaraniNikravesh(0.9)),
     "bushing": sj.Bushing(1e6, 1e-4),
     "bushing, six components": sj.Bushing(
-        law=sj.MatrixElastomer.cylindrical(
+        law=sj.laws.MatrixElastomer.cylindrical(
             jnp.array([0.0, 1.0, 0.0]),
             radial_stiffness=1e6,
             axial_stiffness=5e5,

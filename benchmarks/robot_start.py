@@ -26,7 +26,7 @@ import spherejax as sj
 from spherejax.motion.integration import compiling
 
 TS = jnp.linspace(0.0, 0.1, 11)
-CONTROLS = {"Baumgarte": sj.Baumgarte(), "PostStabilization": sj.PostStabilization()}
+CONTROLS = {"Baumgarte": sj.solvers.Baumgarte(), "PostStabilization": sj.solvers.PostStabilization()}
 TURNS = 31
 
 

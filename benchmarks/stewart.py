@@ -8,7 +8,7 @@ HEIGHT, BASE, TOP = 0.4, 0.3, 0.2
 """Height of the platform above the ground, and radii of the rings of joints there [m]."""
 
 
-def stewart_platform(model: sj.AbstractSphericalModel) -> sj.Scene:
+def stewart_platform(model: sj.joints.AbstractSphericalModel) -> sj.Scene:
     """A platform of 10 kg on six legs that a PID controller lifts by 20 to 50 mm within 0.3 s.
 
     Args:
@@ -40,7 +40,7 @@ def stewart_platform(model: sj.AbstractSphericalModel) -> sj.Scene:
         joints[f"ball{i}"] = sj.Spherical(f"rod{i}.top", f"platform.top{i}", sj.Ideal() if i else model)
         forces[f"leg{i}"] = sj.PID(
             sj.Extension((f"ground.base{i}", f"rod{i}.top")),
-            sj.SmoothStep(0.0, 0.3, 0.0, 0.02 * (1 + 0.3 * i)),
+            sj.functions.SmoothStep(0.0, 0.3, 0.0, 0.02 * (1 + 0.3 * i)),
             proportional=2e5, integral=2e6, derivative=2e3, filter_time=1e-3,
         )  # fmt: skip
     return sj.Scene(bodies, joints, forces, ground_points=ground_points)

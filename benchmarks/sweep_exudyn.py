@@ -59,7 +59,7 @@ def by_exudyn(clearances: list[float], numbers: dict) -> dict:
 def numbers_of(clearances: list[float]) -> dict:
     """The four-bar as Exudyn's model of it needs it."""
     scene, y0 = sj.gallery.four_bar(sj.Ideal()), problem(sj.Ideal()).y0
-    system = sj.compile_scene(scene).system
+    system = sj.equations.compile_scene(scene).system
     poses = {
         name: (y0[7 * i : 7 * i + 3], np.array(rotation_matrix(y0[7 * i + 3 : 7 * i + 7])))
         for i, name in enumerate(BODIES)

@@ -56,7 +56,7 @@ def gpu(widths=WIDTHS, on_cpu: bool = False) -> None:
 def measured(width: int, device, n_blocks: int = 1) -> dict:
     """One width on one device."""
     rows = {"clearance": np.linspace(5e-5, 2e-4, width * n_blocks)}
-    block = sj.Block(width=width, narrow=max(width // 8, 1))
+    block = sj.solvers.Block(width=width, narrow=max(width // 8, 1))
     method = batch_settings(dry, rows, RunSettings(solver=diffrax.Dopri8(), max_steps=1_000_000), block)
 
     def heights(rows, is_wanted):

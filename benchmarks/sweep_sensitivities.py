@@ -34,7 +34,7 @@ def dry(clearance, mu, restitution):
     return sj.gallery.four_bar(sj.Dry(clearance, normal=normal, friction=sj.Threlfall(mu)))
 
 
-def runs_of(shift: float = 0.0, shifted: str = "") -> sj.Grid:
+def runs_of(shift: float = 0.0, shifted: str = "") -> sj.studies.Grid:
     """The runs, with one parameter shifted by a fraction of itself."""
     values = {
         "clearance": np.linspace(0.8e-4, 1.2e-4, N_RUNS),
@@ -43,12 +43,12 @@ def runs_of(shift: float = 0.0, shifted: str = "") -> sj.Grid:
     }
     if shifted:
         values[shifted] = values[shifted] * (1 + shift)
-    return sj.zipped(values)
+    return sj.studies.zipped(values)
 
 
-def swept(grid: sj.Grid, rtol: float, by: tuple[str, ...] = ()):
+def swept(grid: sj.studies.Grid, rtol: float, by: tuple[str, ...] = ()):
     """One sweep; derivatives by some parameters besides."""
-    record = [KEPT, *([sj.Sensitivity(KEPT, by=by)] if by else [])]
+    record = [KEPT, *([sj.studies.Sensitivity(KEPT, by=by)] if by else [])]
     return sj.sweep(
         dry, grid, [0.0, DURATION], record=record, rtol=rtol, solver=diffrax.Dopri8(), chunk=N_RUNS // N_CORES,
         progress=False,

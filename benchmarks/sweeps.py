@@ -163,7 +163,7 @@ def steps() -> None:
     rows = []
     for solver in (diffrax.Tsit5(), diffrax.Dopri8()):
         for width in (8, 16, 24, 32, 64, 128):
-            block = sj.Block(width)
+            block = sj.solvers.Block(width)
             result = sj.sweep(
                 dry, {"clearance": CLEARANCES}, [0.0, DURATION], record=["final position.rocker"], rtol=1e-6,
                 solver=solver, block=block, workers=1, chunk=N_RUNS // 2, progress=False,
@@ -189,7 +189,7 @@ def widths() -> None:
     """Milliseconds of a core for a run in 24 and in 64 lanes, of other joints and with sensitivities."""
     clearances = {"clearance": CLEARANCES[::2]}
     height = "final position.rocker"
-    by = sj.Sensitivity(KEPT, by=PARAMETERS), sj.Sensitivity(KEPT, by=PARAMETERS[:1])
+    by = sj.studies.Sensitivity(KEPT, by=PARAMETERS), sj.studies.Sensitivity(KEPT, by=PARAMETERS[:1])
     cases = {
         "dry": (dry, clearances, DURATION, [height], 1e-8),
         "bushing": (elastic, {"stiffness": np.geomspace(3e5, 3e6, N_RUNS // 2)}, DURATION, [height], 1e-8),
@@ -202,8 +202,8 @@ def widths() -> None:
         chunk = 100 if "sensitivities" in name else 250
         for width in (24, 64):
             result = sj.sweep(
-                build, runs, [0.0, duration], record=record, rtol=rtol, block=sj.Block(width), workers=1, chunk=chunk,
-                progress=False,
+                build, runs, [0.0, duration], record=record, rtol=rtol, block=sj.solvers.Block(width), workers=1,
+                chunk=chunk, progress=False,
             )  # fmt: skip
             taken = 1e3 / chunk * float(np.median(result.attrs["seconds_of_chunks"]))
             rows.append({"case": name, "lanes": width, "runs_at_a_time": chunk, "ms_per_run": f"{taken:.2f}"})

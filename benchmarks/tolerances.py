@@ -14,8 +14,8 @@ from machine import median_seconds, write
 import spherejax as sj
 
 TS = jnp.linspace(0.0, 0.2, 21)
-MASS = {"rocker": sj.Tolerance(0.0316, 5e-4), "coupler": sj.Tolerance(0.1416, 2e-3)}
-RUBBER = {"stiffness": sj.Tolerance(1e5, 2e4), "damping": sj.Tolerance(1e-3, 3e-4)}
+MASS = {"rocker": sj.studies.Tolerance(0.0316, 5e-4), "coupler": sj.studies.Tolerance(0.1416, 2e-3)}
+RUBBER = {"stiffness": sj.studies.Tolerance(1e5, 2e4), "damping": sj.studies.Tolerance(1e-3, 3e-4)}
 
 
 def with_masses(scene, rocker, coupler):
@@ -37,7 +37,7 @@ def studied(joints, build, spreads, n):
         return sj.monte_carlo(build, spreads, TS, record=["final position.rocker"], n=n, progress=False)
 
     def first_order():
-        return sj.tolerance_budget(build, spreads, TS, observables=["position.rocker.z"])
+        return sj.studies.tolerance_budget(build, spreads, TS, observables=["position.rocker.z"])
 
     drawn, part = samples(), first_order().of("position.rocker.z")
     assert np.all(drawn.is_used)

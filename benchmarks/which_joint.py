@@ -59,7 +59,7 @@ TRUTHS = {
 
 CANDIDATES = {
     "ideal": ideal,
-    "dry": sj.Candidate(
+    "dry": sj.studies.Candidate(
         dry,
         {
             "clearance": sj.Parameter(1e-4, lower=3e-5, upper=6e-4),
@@ -67,14 +67,14 @@ CANDIDATES = {
             "mu": sj.Parameter(0.05, lower=0.01, upper=0.3),
         },
     ),
-    "film": sj.Candidate(
+    "film": sj.studies.Candidate(
         film,
         {
             "clearance": sj.Parameter(1e-4, lower=3e-5, upper=6e-4),
             "viscosity": sj.Parameter(0.2, lower=0.01, upper=5.0),
         },
     ),
-    "bushing": sj.Candidate(
+    "bushing": sj.studies.Candidate(
         bushing,
         {
             "stiffness": sj.Parameter(1e5, lower=5e3, upper=5e6),

@@ -27,11 +27,14 @@ extensions = [
 exclude_patterns = ["_build", "extensions", "paper"]
 source_suffix = {".md": "markdown"}
 nitpicky = True
-NOT_PUBLIC = "physics|motion|model|compiler|foundations|studies|output|files"
+NOT_PUBLIC = "physics|motion|model|foundations|output"
+PARTLY_PUBLIC = "compiler|studies|files"
+"""Namespaces that hold private modules as well."""
 nitpick_ignore_regex = [
     # The documentation of other packages is not there without a network.
     ("py:.*", r"(?!spherejax\.).*"),
     ("py:.*", rf"spherejax\.({NOT_PUBLIC})\..*"),
+    ("py:.*", rf"spherejax\.({PARTLY_PUBLIC})\.[a-z_]+\..*"),
 ]
 suppress_warnings = ["autosummary"]
 

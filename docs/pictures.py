@@ -84,7 +84,7 @@ def orbits() -> Figure:
 def films() -> Figure:
     """The four-bar on the paper's film and on the full one: acceleration of the rocker, path of the ball."""
     ts = jnp.linspace(0.0, 2.0, 2001)
-    kinds = {"the paper's film": sj.RadialFilm(), "full film": sj.FullFilm()}
+    kinds = {"the paper's film": sj.laws.RadialFilm(), "full film": sj.laws.FullFilm()}
     ideal = sj.simulate(sj.gallery.four_bar(sj.Ideal()), ts, rtol=1e-8)
     figure, panels = plt.subplots(
         2,
@@ -172,12 +172,14 @@ def conformity() -> Figure:
         (
             "steel on steel, R 10 mm, c 0.1 mm",
             sj.Dry(1e-4),
-            sj.SphericalProfile(),
+            sj.laws.SphericalProfile(),
         ),
         (
             "5 mm of polyethylene on metal, R 16 mm",
             sj.Dry(1e-4, socket_radius=0.016, socket_material=plastic),
-            sj.WinklerLiner(youngs_modulus=0.8e9, poissons_ratio=0.46, thickness=5e-3),
+            sj.laws.WinklerLiner(
+                youngs_modulus=0.8e9, poissons_ratio=0.46, thickness=5e-3
+            ),
         ),
     )
     ratios = np.linspace(0.0, 1.0, 201)
@@ -212,8 +214,8 @@ def conformity() -> Figure:
 def piston() -> Figure:
     """What play in the pin of a piston does to the motor, and the journal's path."""
     ts = jnp.linspace(0.0, 0.012, 2401)
-    contact = sj.JohnsonCylinder(0.02)
-    film = sj.ShortBearing(0.02)
+    contact = sj.laws.JohnsonCylinder(0.02)
+    film = sj.laws.ShortBearing(0.02)
     models = (
         ("ideal", sj.Ideal()),
         ("dry, c = 0.5 mm", sj.Dry(5e-4, conformity=contact)),
@@ -264,7 +266,7 @@ def tilting() -> Figure:
         friction=sj.Threlfall(0.1),
     )
     rotor = sj.Body(0.5, (1e-4, 2e-4, 2e-4), (0.05, 0, 0), angular_velocity=(50, 0, 0))
-    bearing = sj.tilting_journal(
+    bearing = sj.joints.tilting_journal(
         "shaft", ("ground", "rotor"), (0, 0, 0), (1, 0, 0), model, length=0.04
     )
     run = sj.simulate(sj.Scene({"rotor": rotor}, bearing), ts)
@@ -325,9 +327,9 @@ def joint_friction() -> Figure:
     figure, panels = plt.subplots(1, 2, figsize=(7.2, 3.1), layout="constrained")
     law, radius = sj.Threlfall(mu=0.2, v1=1e-4), 0.012
     pressures = {
-        "point": sj.PointContact(),
-        "cosine": sj.CosinePressure(),
-        "uniform": sj.UniformPressure(),
+        "point": sj.laws.PointContact(),
+        "cosine": sj.laws.CosinePressure(),
+        "uniform": sj.laws.UniformPressure(),
     }
     rod = sj.Body(0.5, (1e-4, 4e-3, 4e-3), position=(0.15, 0.0, 0.0))
     ball = sj.Body(
@@ -362,20 +364,20 @@ def joint_friction() -> Figure:
 def rubber() -> Figure:
     """Dynamic stiffness of rubber at two amplitudes, beside a spring with a damper."""
     frequencies = np.geomspace(0.5, 200.0, 121)
-    law = sj.VectorElastomer(2e5, 0.0)
-    branches = sj.Maxwell([6e4, 5e4, 6e4], [0.1, 0.01, 0.001])
+    law = sj.laws.VectorElastomer(2e5, 0.0)
+    branches = sj.laws.Maxwell([6e4, 5e4, 6e4], [0.1, 0.01, 0.001])
     bushings = {
         "rubber": (
-            sj.Bushing(law=law, branches=branches, friction=sj.Berg(40.0, 1e-4)),
+            sj.Bushing(law=law, branches=branches, friction=sj.laws.Berg(40.0, 1e-4)),
             [5e-5, 1e-3],
         ),
         "Kelvin-Voigt, b = 10 ms": (
-            sj.Bushing(law=sj.VectorElastomer(2e5, 1e-2)),
+            sj.Bushing(law=sj.laws.VectorElastomer(2e5, 1e-2)),
             [1e-3],
         ),
     }
     tables = {
-        name: sj.dynamic_stiffness(bushing, frequencies, amplitudes).to_xarray()
+        name: sj.studies.dynamic_stiffness(bushing, frequencies, amplitudes).to_xarray()
         for name, (bushing, amplitudes) in bushings.items()
     }
     return sj.plot.dynamic_stiffness(tables, "Rubber, and a spring with a damper")
@@ -384,14 +386,14 @@ def rubber() -> Figure:
 def controllers() -> Figure:
     """An arm that a motor lifts, under control in continuous time and in samples."""
     turn = sj.Turn(("ground", "arm"), axis=(0, 1, 0))
-    wanted = sj.SmoothStep(0.0, 0.4, 0.0, -np.pi / 2)
+    wanted = sj.functions.SmoothStep(0.0, 0.4, 0.0, -np.pi / 2)
     gains = dict(
         proportional=60.0, integral=80.0, derivative=8.0, filter_time=5e-3, limits=(-20, 20), tracking_time=0.1
     )  # fmt: skip
     motors = {
         "continuous": sj.PID(turn, wanted, **gains),
-        "every 20 ms": sj.SampledPID(turn, 0.02, wanted, **gains),
-        "every 50 ms": sj.SampledPID(turn, 0.05, wanted, **gains),
+        "every 20 ms": sj.forces.SampledPID(turn, 0.02, wanted, **gains),
+        "every 50 ms": sj.forces.SampledPID(turn, 0.05, wanted, **gains),
     }
     body = sj.Body(2.0, (0.05, 0.05, 0.01), position=(0.0, 0.0, -0.3))
     hinge = sj.Revolute(("ground", "arm"), point=(0, 0, 0), axis=(0, 1, 0))
@@ -437,7 +439,7 @@ def suspension() -> Figure:
 
 def rig_joints() -> dict[str, dict]:
     """What the joints of the double wishbone may be."""
-    law = sj.MatrixElastomer.cylindrical(
+    law = sj.laws.MatrixElastomer.cylindrical(
         (0.0, 0.0, 1.0),
         radial_stiffness=8e6,
         axial_stiffness=1e6,
@@ -457,7 +459,7 @@ def rig_joints() -> dict[str, dict]:
 def rig() -> Figure:
     """Curves of the double wishbone over travel."""
     travel = np.linspace(-0.08, 0.08, 33)
-    found = sj.rig(sj.gallery.double_wishbone(), travel)
+    found = sj.vehicle.rig(sj.gallery.double_wishbone(), travel)
     return sj.plot.rig(found.to_xarray(), title="A double wishbone on the rig")
 
 
@@ -467,15 +469,17 @@ def rig_toe() -> Figure:
         1, 2, figsize=(8.4, 3.8), layout="constrained", sharey=True
     )
     travel, lateral = np.linspace(-0.06, 0.06, 25), np.linspace(-3000.0, 3000.0, 31)
-    cornering = sj.WheelLoads(lateral=-2000.0)
+    cornering = sj.vehicle.WheelLoads(lateral=-2000.0)
     for (name, model), color, dashes in zip(
         rig_joints().items(), LINES, ((), (4, 1), (1, 1), (6, 1, 1, 1)), strict=False
     ):
         scene = sj.gallery.double_wishbone(**model)
         look = {"color": color, "dashes": dashes or (None, None)}
-        over_travel = sj.rig(scene, travel, loads=cornering)
+        over_travel = sj.vehicle.rig(scene, travel, loads=cornering)
         left.plot(1e3 * travel, np.degrees(over_travel.toe), label=name, **look)
-        by_force = sj.rig(scene, 0.0, loads=sj.WheelLoads(lateral=lateral))
+        by_force = sj.vehicle.rig(
+            scene, 0.0, loads=sj.vehicle.WheelLoads(lateral=lateral)
+        )
         right.plot(1e-3 * lateral, np.degrees(by_force.toe), **look)
     left.set(xlabel="travel [mm], under -2 kN", ylabel="toe-in [deg]")
     right.set(xlabel="lateral force [kN] at the design height")
@@ -527,7 +531,7 @@ def modes() -> Figure:
     """Modes of an arm on rubber, with a weight that hangs from it."""
     place = (0.02, 0.05, -0.1)
     arm = sj.Body(1.0, (1e-2,) * 3, place, points={"pivot": tuple(-x for x in place)})
-    rubber = sj.MatrixElastomer.cylindrical(
+    rubber = sj.laws.MatrixElastomer.cylindrical(
         (0.0, 1.0, 0.0),
         radial_stiffness=4e3,
         axial_stiffness=3e3,
@@ -564,7 +568,7 @@ class Push(eqx.Module):
 def oscillator(frequency: float) -> sj.Scene:
     """Duffing's, as a body on a guide."""
     x = (1.0, 0.0, 0.0)
-    cubic = sj.Polynomial([0.0, 0.0, 0.0, 1.0])
+    cubic = sj.functions.Polynomial([0.0, 0.0, 0.0, 1.0])
     spring = sj.SpringDamper(
         ("ground.wall", "body"), 1.0, 0.2, spring=cubic, direction=x
     )
@@ -582,7 +586,7 @@ def oscillator(frequency: float) -> sj.Scene:
 
 def continuation() -> Figure:
     """Duffing's oscillator along the frequency of its force."""
-    branch = sj.continuation(
+    branch = sj.studies.continuation(
         oscillator,
         "frequency",
         (0.1, 0.3),
@@ -603,7 +607,7 @@ def swept_sine() -> Figure:
         {"pivot": sj.Revolute(*hinge)},
         {"drag": sj.TorsionalSpring(hinge[0], hinge[2], 0.0, 0.1)},
     )
-    found = sj.swept_sine(
+    found = sj.studies.swept_sine(
         scene,
         "gravity.x",
         "position.bob.x",

@@ -11,6 +11,7 @@ A joint is a place and a model; changing the physics changes one word:
 """
 
 import sys as _sys
+import warnings as _warnings
 
 if _sys.argv[:1] == ["-m"] and not _sys.flags.safe_path:
     # `python -m spherejax` would import a `numpy.py` of the working folder, which may be somebody else's archive of
@@ -25,6 +26,7 @@ from typing import Any as _Any
 import lazy_loader as _lazy_loader
 
 from spherejax import runtime, wiring
+from spherejax.namespaces import MOVED as _MOVED
 from spherejax.program_cache import gc_paused as _gc_paused
 
 wiring.connect()
@@ -40,6 +42,9 @@ _loaded, __dir__, __all__ = _lazy_loader.attach_stub(__name__, __file__)
 
 
 def __getattr__(name: str) -> _Any:
+    if name in _MOVED:
+        _warnings.warn(f"sj.{name} is called sj.{_MOVED[name]}.{name}", DeprecationWarning, stacklevel=2)
+        return getattr(__getattr__(_MOVED[name]), name)
     # Loading makes objects that all stay; to look for garbage among them takes a sixth of the time.
     with _gc_paused():
         return _loaded(name)

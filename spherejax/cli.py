@@ -92,7 +92,7 @@ def _run(options: argparse.Namespace, *, leaves: bool) -> int:
     except (sj.SceneError, sj.runtime.PrecisionError) as error:
         print(f"spherejax: {_one_line(error)}", file=sys.stderr)
         return BAD_REQUEST
-    except sj.SweepError as error:
+    except sj.errors.SweepError as error:
         print("\n".join([f"spherejax: {_one_line(error)}", *_notes(error)]), file=sys.stderr)
         return FAILED_RUN
     except sj.SimulationError as error:

@@ -161,7 +161,7 @@ def _spun_spring(inertia, frequency, rate):
 
 def _bushing(inertia, frequency):
     translation, rotation = 1e3 * np.eye(3), inertia * frequency**2 * jnp.eye(3)
-    law = sj.MatrixElastomer(translation, np.zeros((3, 3)), rotation, np.zeros((3, 3)))
+    law = sj.laws.MatrixElastomer(translation, np.zeros((3, 3)), rotation, np.zeros((3, 3)))
     return sj.Bushing(law=law)
 
 
@@ -199,7 +199,7 @@ MESH = 1e5
 def _gear_pair(ratio, torque, load):
     one, two = sj.Turn(("ground", "pinion"), AXIS), sj.Turn(("ground", "wheel"), AXIS)
     forces = {
-        "mesh": sj.Coupler(one, two, ratio=ratio, stiffness=MESH),
+        "mesh": sj.forces.Coupler(one, two, ratio=ratio, stiffness=MESH),
         "motor": sj.AppliedWrench("pinion", moment=jnp.stack([0.0 * torque, 0.0 * torque, torque])),
     }
     bodies = {"pinion": _wheel(1.0, 0.0), "wheel": _wheel(load, 0.0)}
@@ -377,7 +377,7 @@ def _bounce(random):
 def _ball_and_stop(stiffness, gap, start=0.0):
     ball = sj.Body(1.0, (1.0, 1.0, 1.0), jnp.stack([start * jnp.ones(()), jnp.zeros(()), jnp.zeros(())]),
                    velocity=(1.0, 0.0, 0.0))  # fmt: skip
-    stop = sj.BumpStop(("ball", "ground.o"), shortest=0.2, stiffness=stiffness)
+    stop = sj.forces.BumpStop(("ball", "ground.o"), shortest=0.2, stiffness=stiffness)
     place = jnp.stack([gap + 0.2, 0.0 * gap, 0.0 * gap])
     return sj.Scene({"ball": ball}, {}, {"stop": stop}, gravity=WEIGHTLESS, ground_points={"o": place})
 
@@ -428,7 +428,7 @@ def _ocvirk(clearance, eps):
 
 def _loaded_journal(clearance, eps):
     normal = sj.Hertz(stiffness=1e9)
-    model = sj.Lubricated(clearance, 0.01, socket_radius=5e-3, normal=normal, film=sj.ShortBearing(5e-3))
+    model = sj.Lubricated(clearance, 0.01, socket_radius=5e-3, normal=normal, film=sj.laws.ShortBearing(5e-3))
     rotor = sj.Body(1e-3, (10.0, 10.0, 10.0), angular_velocity=(0.0, 0.0, 100 * math.pi))
     load = _ocvirk(clearance, eps)
     push = sj.AppliedWrench("rotor", force=jnp.stack([0.0 * load, -load, 0.0 * load]))
@@ -450,7 +450,7 @@ FAMILIES: dict[str, Family] = {
         _loop, _parallelogram, _kept_energy, lambda **_: 0.0, lambda **_: 1e-3, lambda **_: jnp.array([0.0, 1.0, 4.0])
     ),
     "parallelogram with Baumgarte's control": Family(
-        _loop, partial(_parallelogram, drift=sj.Baumgarte()), _kept_energy, lambda **_: 0.0, lambda **_: 1e-2,
+        _loop, partial(_parallelogram, drift=sj.solvers.Baumgarte()), _kept_energy, lambda **_: 0.0, lambda **_: 1e-2,
         lambda **_: jnp.array([0.0, 1.0, 4.0]), least_right=0.0,
     ),
     "slider-crank of equal lengths": Family(
@@ -462,7 +462,7 @@ FAMILIES: dict[str, Family] = {
         lambda at, size: size, lambda size, **_: 1e-5 * size, alone=True, least_right=0.0,
     ),
     "prescribed jump, a Step": Family(
-        _jump, lambda at, size: _driven_rod(sj.Step(at, 0.0, size)), _angle_of_rod,
+        _jump, lambda at, size: _driven_rod(sj.functions.Step(at, 0.0, size)), _angle_of_rod,
         lambda at, size: size, lambda size, **_: 1e-5 * size, alone=True, least_right=0.0,
     ),
     "prescribed kink": Family(

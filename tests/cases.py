@@ -20,12 +20,12 @@ NORMAL_LAWS = {
     "gonthier": sj.Gonthier(restitution=0.7),
     "flores": sj.Flores(restitution=0.6),
     "exact_restitution": sj.ExactRestitution(restitution=0.5),
-    "hunt_crossley_dissipation": sj.HuntCrossleyDissipation(dissipation=2.0),
-    "yielding": sj.Gonthier(restitution=sj.PowerTail(0.9, 0.05)),
+    "hunt_crossley_dissipation": sj.laws.HuntCrossleyDissipation(dissipation=2.0),
+    "yielding": sj.Gonthier(restitution=sj.functions.PowerTail(0.9, 0.05)),
 }
 CONFORMITIES = {
-    "profile": sj.SphericalProfile(),
-    "liner": sj.WinklerLiner(youngs_modulus=1e9, poissons_ratio=0.4, thickness=2e-3),
+    "profile": sj.laws.SphericalProfile(),
+    "liner": sj.laws.WinklerLiner(youngs_modulus=1e9, poissons_ratio=0.4, thickness=2e-3),
 }
 FRICTION_LAWS = {
     "threlfall": sj.Threlfall(mu=0.1, v1=1e-3),
@@ -39,9 +39,9 @@ SWEPT = ("guembel", "sommerfeld")
 """Boundaries that a full film can have."""
 
 ELASTOMERS = {
-    "radial": sj.RadialElastomer(1e6, 1e-3),
-    "vector": sj.VectorElastomer(1e6, 1e-3),
-    "matrix": sj.MatrixElastomer.cylindrical(
+    "radial": sj.laws.RadialElastomer(1e6, 1e-3),
+    "vector": sj.laws.VectorElastomer(1e6, 1e-3),
+    "matrix": sj.laws.MatrixElastomer.cylindrical(
         (0.1, 0.2, 1.0),
         radial_stiffness=1e6,
         axial_stiffness=3e5,
@@ -49,7 +49,7 @@ ELASTOMERS = {
         torsional_stiffness=0.5,
         damping=1e-3,
     ),
-    "curve": sj.CurveElastomer(np.array([1e-5, 1e-4, 3e-4]), np.array([10.0, 150.0, 900.0]), 1e-3),
+    "curve": sj.laws.CurveElastomer(np.array([1e-5, 1e-4, 3e-4]), np.array([10.0, 150.0, 900.0]), 1e-3),
 }
 
 FOUR_BAR_MODELS = {
@@ -69,37 +69,37 @@ MODELS = {
     "lubricated_liner": sj.Lubricated(clearance=C, conformity=CONFORMITIES["liner"]),
     "dry_hertz_threlfall": sj.Dry(clearance=C, normal=sj.Hertz(), friction=sj.Threlfall()),
     **{
-        f"lubricated_radial_{name}": sj.Lubricated(clearance=C, boundary=law, film=sj.RadialFilm())
+        f"lubricated_radial_{name}": sj.Lubricated(clearance=C, boundary=law, film=sj.laws.RadialFilm())
         for name, law in BOUNDARIES.items()
     },
     **{
-        f"lubricated_full_{name}": sj.Lubricated(clearance=C, boundary=BOUNDARIES[name], film=sj.FullFilm())
+        f"lubricated_full_{name}": sj.Lubricated(clearance=C, boundary=BOUNDARIES[name], film=sj.laws.FullFilm())
         for name in SWEPT
     },
     "lubricated_hertz": sj.Lubricated(clearance=C, normal=sj.Hertz()),
     "lubricated_lugre": sj.Lubricated(clearance=C, normal=sj.Flores(restitution=0.8), friction=sj.LuGre()),
     **{f"bushing_{name}": sj.Bushing(law=law) for name, law in ELASTOMERS.items()},
-    "ideal_threlfall": sj.Ideal(sj.Threlfall(mu=0.1), radius=0.01, pressure=sj.CosinePressure(), preload=0.01),
-    "ideal_lugre": sj.Ideal(sj.LuGre(), radius=0.01, pressure=sj.UniformPressure(), passes=3),
+    "ideal_threlfall": sj.Ideal(sj.Threlfall(mu=0.1), radius=0.01, pressure=sj.laws.CosinePressure(), preload=0.01),
+    "ideal_lugre": sj.Ideal(sj.LuGre(), radius=0.01, pressure=sj.laws.UniformPressure(), passes=3),
     "bushing_rubber": sj.Bushing(
-        law=ELASTOMERS["vector"], branches=sj.Maxwell([5e5, 2e5], [1e-2, 1e-3]), friction=sj.Berg(50.0, 1e-5)
+        law=ELASTOMERS["vector"], branches=sj.laws.Maxwell([5e5, 2e5], [1e-2, 1e-3]), friction=sj.laws.Berg(50.0, 1e-5)
     ),
     "bushing_rubber_turning": sj.Bushing(
         law=ELASTOMERS["matrix"],
-        branches=sj.Maxwell([[5e5, 5e5, 2e5]], [1e-2], rotational_stiffness=[1.0]),
-        friction=sj.Berg([50.0, 50.0, 20.0], 1e-5, rotational_limit=0.1, half_angle=1e-2),
+        branches=sj.laws.Maxwell([[5e5, 5e5, 2e5]], [1e-2], rotational_stiffness=[1.0]),
+        friction=sj.laws.Berg([50.0, 50.0, 20.0], 1e-5, rotational_limit=0.1, half_angle=1e-2),
     ),
 }
 
 
-_CYLINDER = sj.JohnsonCylinder(0.02)
+_CYLINDER = sj.laws.JohnsonCylinder(0.02)
 JOURNALS = {
     "johnson": sj.Dry(clearance=C, conformity=_CYLINDER, friction=sj.Threlfall()),
-    "esdu": sj.Dry(clearance=C, conformity=sj.EsduCylinder(0.02), friction=sj.LuGre()),
-    "short": sj.Lubricated(clearance=C, film=sj.ShortBearing(0.02), conformity=_CYLINDER),
-    "long": sj.Lubricated(clearance=C, film=sj.LongBearing(0.04), conformity=_CYLINDER),
+    "esdu": sj.Dry(clearance=C, conformity=sj.laws.EsduCylinder(0.02), friction=sj.LuGre()),
+    "short": sj.Lubricated(clearance=C, film=sj.laws.ShortBearing(0.02), conformity=_CYLINDER),
+    "long": sj.Lubricated(clearance=C, film=sj.laws.LongBearing(0.04), conformity=_CYLINDER),
     "sommerfeld": sj.Lubricated(
-        clearance=C, film=sj.ShortBearing(0.02), boundary=sj.Sommerfeld(), conformity=_CYLINDER
+        clearance=C, film=sj.laws.ShortBearing(0.02), boundary=sj.Sommerfeld(), conformity=_CYLINDER
     ),
 }
 """Models of a revolute joint with clearance."""
@@ -131,7 +131,7 @@ def pendulum() -> sj.Scene:
     return sj.Scene({"bob": body}, {"pivot": sj.Revolute(("ground", "bob"), (0.0, 0.0, 0.0), (0.0, 1.0, 0.0))})
 
 
-def ball_in_socket(model: sj.AbstractSphericalModel, mass=0.2, velocity=(0.0, 0.0, 0.0)) -> sj.Scene:
+def ball_in_socket(model: sj.joints.AbstractSphericalModel, mass=0.2, velocity=(0.0, 0.0, 0.0)) -> sj.Scene:
     """A free body whose center is the ball, in a socket that is fixed to the ground; no gravity."""
     ball = sj.Body(mass, (1e-5, 1e-5, 1e-5), velocity=velocity, points={"center": (0.0, 0.0, 0.0)})
     return sj.Scene(
@@ -169,7 +169,9 @@ CASES = [
 ]
 
 
-def displaced_state(system: sj.System, assembly: sj.Assembly, seed: int, distance: float) -> np.ndarray:
+def displaced_state(
+    system: sj.equations.System, assembly: sj.results.Assembly, seed: int, distance: float
+) -> np.ndarray:
     """A flat state near the start, with random velocities, each body displaced by about `distance` [m]."""
     random = np.random.default_rng(seed)
     layout = system.layout
@@ -188,7 +190,7 @@ def displaced_state(system: sj.System, assembly: sj.Assembly, seed: int, distanc
     return y
 
 
-def exact_four_bar(model: sj.AbstractSphericalModel | None = None) -> sj.Scene:
+def exact_four_bar(model: sj.joints.AbstractSphericalModel | None = None) -> sj.Scene:
     """The four-bar, its start and its body-fixed geometry closed to rounding from the nominal lengths.
 
     The gallery's scene carries the published digits (1e-8 in the quaternions); against a reference in minimal

@@ -33,7 +33,9 @@ axis = [0, 0, 1]
 GAINS: dict[str, Any] = dict(proportional=0.8, integral=2.0, derivative=0.05, filter_time=0.02)
 
 
-def motor(control: sj.AbstractForce, inertia: Any = 0.02, speed: Any = SPEED, **more: sj.AbstractForce) -> sj.Scene:
+def motor(
+    control: sj.forces.AbstractForce, inertia: Any = 0.02, speed: Any = SPEED, **more: sj.forces.AbstractForce
+) -> sj.Scene:
     """A rotor on a torsion spring, and what drives it."""
     rotor = sj.Body(1.0, jnp.stack([0.01, 0.01, jnp.asarray(inertia)]), angular_velocity=(0.0, 0.0, speed))
     bearing = sj.Revolute(("ground", "rotor"), point=(0.0, 0.0, 0.0), axis=(0.0, 0.0, 1.0))
@@ -45,7 +47,7 @@ def motor(control: sj.AbstractForce, inertia: Any = 0.02, speed: Any = SPEED, **
 
 def sampled_motor(period: Any, inertia: Any = 0.02, **gains: Any) -> sj.Scene:
     """The motor with a digital controller."""
-    return motor(sj.SampledPID(ROTOR, period, 1.5, **{**GAINS, **gains}), inertia)
+    return motor(sj.forces.SampledPID(ROTOR, period, 1.5, **{**GAINS, **gains}), inertia)
 
 
 def sampled_answer(
@@ -105,7 +107,7 @@ def continuous_answer(ts: np.ndarray, reference: tuple[float, float], inertia: f
     return np.column_stack([states[:, :4], states @ torque])
 
 
-class NeuralForce(sj.AbstractForce):
+class NeuralForce(sj.forces.AbstractForce):
     """A force along x by place and speed, of a network."""
 
     network: sj.Network
@@ -119,4 +121,4 @@ class NeuralForce(sj.AbstractForce):
         """The network's value along x."""
         ball = motions["ball"]
         force = self.network(jnp.stack([ball.position[0], ball.velocity[0]]))
-        return {"ball": sj.Wrench(jnp.stack([force, 0.0 * force, 0.0 * force]), jnp.zeros(3))}
+        return {"ball": sj.forces.Wrench(jnp.stack([force, 0.0 * force, 0.0 * force]), jnp.zeros(3))}

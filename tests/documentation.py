@@ -6,6 +6,7 @@ from pathlib import Path
 
 DOCS = Path(__file__).parents[1] / "docs"
 README = DOCS.parent / "README.md"
+sys.path.append(str(DOCS / "extensions"))  # its modules import each other
 
 
 def program(name: str):

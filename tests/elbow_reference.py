@@ -255,7 +255,7 @@ def scene(laws: Laws, numbers) -> sj.Scene:
             psi,
         ),
     }
-    law = getattr(sj, laws.normal)
+    law = getattr(sj.laws, laws.normal)
     normal = law() if laws.normal == "Hertz" else law(restitution=numbers["restitution"])
     friction = sj.Threlfall(mu=numbers["mu"], v1=numbers["v1"]) if laws.friction else None
     elbow = sj.Dry(numbers["clearance"], normal=normal, friction=friction)

@@ -17,13 +17,13 @@ ENDS = ("first.eye", "second.eye")
 UP = (0.0, 0.2, 1.0)
 
 
-CUBIC = sj.Polynomial([0.0, 1.0, 0.0, 3.0])
-TWO_SLOPES = sj.Piecewise([0.0], [sj.Linear(2.0), sj.Linear(5.0)])
+CUBIC = sj.functions.Polynomial([0.0, 1.0, 0.0, 3.0])
+TWO_SLOPES = sj.functions.Piecewise([0.0], [sj.functions.Linear(2.0), sj.functions.Linear(5.0)])
 
 
-def attraction(strength: float) -> sj.AbstractForce:
+def attraction(strength: float) -> sj.forces.AbstractForce:
     """The element in the docstring of `AbstractForce`, as a reader would copy it, on the second body."""
-    text = inspect.getdoc(sj.AbstractForce) or ""
+    text = inspect.getdoc(sj.forces.AbstractForce) or ""
     block = text[text.index("    class ") : text.index("Numbers in it")]
     scope: dict[str, Any] = {"sj": sj, "jnp": jnp}
     exec(textwrap.dedent(block).replace("ball", "second"), scope)
@@ -35,72 +35,78 @@ def road(x, t):
     return 0.05 * jnp.sin(3.0 * x) + 0.02 * jnp.cos(2.0 * t)
 
 
-def table(x: float = 1.0) -> sj.SmoothTable:
+def table(x: float = 1.0) -> sj.functions.SmoothTable:
     """A stiffening spring."""
-    return sj.SmoothTable([-0.5, 0.0, 0.1, 0.4, 1.0], x * np.array([-30.0, 0.0, 10.0, 60.0, 200.0]))
+    return sj.functions.SmoothTable([-0.5, 0.0, 0.1, 0.4, 1.0], x * np.array([-30.0, 0.0, 10.0, 60.0, 200.0]))
 
 
-CONSERVATIVE: dict[str, sj.AbstractForce] = {
+CONSERVATIVE: dict[str, sj.forces.AbstractForce] = {
     "spring": sj.SpringDamper(ENDS, 50.0, free_length=0.3),
     "spring along a direction": sj.SpringDamper(ENDS, 50.0, free_length=-0.4, direction=UP),
     "spring by table": sj.SpringDamper(ENDS, 5.0, free_length=0.3, spring=table()),
-    "spring on the ground": sj.SpringDamper(("ground", "second"), spring=sj.Polynomial([1.0, 20.0, 0.0, 5.0])),
+    "spring on the ground": sj.SpringDamper(
+        ("ground", "second"), spring=sj.functions.Polynomial([1.0, 20.0, 0.0, 5.0])
+    ),
     "torsion spring": sj.TorsionalSpring(("first", "second"), (1.0, 2.0, 2.0), 8.0, free_angle=0.3),
     "torsion spring by function": sj.TorsionalSpring(
-        ("ground", "second"), UP, spring=sj.Polynomial([0.0, 1.0, 0.0, 3.0])
+        ("ground", "second"), UP, spring=sj.functions.Polynomial([0.0, 1.0, 0.0, 3.0])
     ),
-    "stop, short": sj.BumpStop(ENDS, shortest=0.9, stiffness=1e3),
-    "stop, long": sj.BumpStop(ENDS, longest=0.2, stiffness=1e3, onset=0.1),
-    "stop, both": sj.BumpStop(ENDS, shortest=0.35, longest=0.5, stiffness=1e3, spring=table(), direction=UP),
-    "torsional stop": sj.TorsionalStop(("first", "second"), (1.0, 2.0, 2.0), -0.2, 0.1, 8.0, onset=0.1),
-    "torsional stop by table": sj.TorsionalStop(("ground", "second"), UP, largest=-0.3, spring=table()),
-    "coupler": sj.Coupler(
+    "stop, short": sj.forces.BumpStop(ENDS, shortest=0.9, stiffness=1e3),
+    "stop, long": sj.forces.BumpStop(ENDS, longest=0.2, stiffness=1e3, onset=0.1),
+    "stop, both": sj.forces.BumpStop(ENDS, shortest=0.35, longest=0.5, stiffness=1e3, spring=table(), direction=UP),
+    "torsional stop": sj.forces.TorsionalStop(("first", "second"), (1.0, 2.0, 2.0), -0.2, 0.1, 8.0, onset=0.1),
+    "torsional stop by table": sj.forces.TorsionalStop(("ground", "second"), UP, largest=-0.3, spring=table()),
+    "coupler": sj.forces.Coupler(
         sj.Turn(("ground", "first"), UP, 0.3), sj.Turn(("first", "second"), (1.0, 2.0, 2.0)), -0.7, 40.0, offset=0.1
     ),
-    "coupler of a turn and a travel": sj.Coupler(
+    "coupler of a turn and a travel": sj.forces.Coupler(
         sj.Turn(("ground", "second"), UP), sj.Travel(ENDS, (1.0, 0.3, 0.0)), 0.4, 40.0, offset=0.1
     ),
-    "tyre": sj.Tyre("second.eye", 0.8, 2e3),
-    "tyre, onset and table": sj.Tyre("second.eye", 0.8, 2e3, onset=0.05, spring=table()),
-    "tyre, normal": sj.Tyre("second.eye", 0.8, 2e3, road=sj.Sine(0.1, 0.5), normal_to_road=True),
+    "tyre": sj.forces.Tyre("second.eye", 0.8, 2e3),
+    "tyre, onset and table": sj.forces.Tyre("second.eye", 0.8, 2e3, onset=0.05, spring=table()),
+    "tyre, normal": sj.forces.Tyre("second.eye", 0.8, 2e3, road=sj.functions.Sine(0.1, 0.5), normal_to_road=True),
     "user-written": attraction(3.0),
 }
-DAMPED: dict[str, sj.AbstractForce] = {
+DAMPED: dict[str, sj.forces.AbstractForce] = {
     "spring and damper": sj.SpringDamper(ENDS, 50.0, 4.0, 0.3),
     "damper by function": sj.SpringDamper(
-        ENDS, damper=sj.Piecewise([0.0], [sj.Linear(2.0), sj.Linear(5.0)]), direction=UP
+        ENDS, damper=sj.functions.Piecewise([0.0], [sj.functions.Linear(2.0), sj.functions.Linear(5.0)]), direction=UP
     ),
-    "shock absorber": sj.ShockAbsorber(ENDS, sj.Linear(2.0), table(), spring=table(2.0), free_length=0.3),
+    "shock absorber": sj.forces.ShockAbsorber(
+        ENDS, sj.functions.Linear(2.0), table(), spring=table(2.0), free_length=0.3
+    ),
     "torsion damper": sj.TorsionalSpring(("first", "second"), UP, 8.0, 2.0, damper=jnp.tanh),
-    "coupler with damping": sj.Coupler(
+    "coupler with damping": sj.forces.Coupler(
         sj.Travel(("ground", "first.eye"), UP), sj.Travel(ENDS, (1.0, 0.3, 0.0)), 0.4, 40.0, 3.0
     ),
-    "stop with damping": sj.BumpStop(ENDS, 0.9, None, 1e3, 30.0, 0.01, damper=lambda v: 5.0 * v),
-    "stop with restitution": sj.BumpStop(ENDS, 0.9, None, 1e3, spring=table(), restitution=0.6, transition=0.5),
-    "torsional stop with damping": sj.TorsionalStop(("first", "second"), UP, 0.4, None, 8.0, 2.0, 0.1, damper=jnp.tanh),
-    "torsional stop with restitution": sj.TorsionalStop(
+    "stop with damping": sj.forces.BumpStop(ENDS, 0.9, None, 1e3, 30.0, 0.01, damper=lambda v: 5.0 * v),
+    "stop with restitution": sj.forces.BumpStop(ENDS, 0.9, None, 1e3, spring=table(), restitution=0.6, transition=0.5),
+    "torsional stop with damping": sj.forces.TorsionalStop(
+        ("first", "second"), UP, 0.4, None, 8.0, 2.0, 0.1, damper=jnp.tanh
+    ),
+    "torsional stop with restitution": sj.forces.TorsionalStop(
         ("ground", "second"), UP, -0.1, 0.1, 8.0, onset=0.1, restitution=0.6, transition=0.5
     ),
-    "damped tyre": sj.Tyre("second.eye", 0.8, 2e3, 100.0, 0.01, damper=sj.Linear(3.0)),
-    "tyre on a moving road": sj.Tyre("second.eye", 0.8, 2e3, 100.0, 0.01, road=road, speed=4.0),
-    "tyre, normal to a moving road": sj.Tyre(
+    "damped tyre": sj.forces.Tyre("second.eye", 0.8, 2e3, 100.0, 0.01, damper=sj.functions.Linear(3.0)),
+    "tyre on a moving road": sj.forces.Tyre("second.eye", 0.8, 2e3, 100.0, 0.01, road=road, speed=4.0),
+    "tyre, normal to a moving road": sj.forces.Tyre(
         "second.eye", 0.8, 2e3, 50.0, 0.01, road=road, speed=4.0, normal_to_road=True
     ),
 }
-ACTIVE: dict[str, sj.AbstractForce] = {
+ACTIVE: dict[str, sj.forces.AbstractForce] = {
     "law of three": sj.SpringDamper(ENDS, law=lambda length, rate, t: 3.0 * length * jnp.sin(t) + rate**3),
     "spring by a user's function": sj.SpringDamper(ENDS, spring=lambda u: 3.0 * u + u**3),
     "push": sj.AppliedWrench("second.eye", (1.0, 2.0, 3.0), (0.1, 0.0, 0.2), place=(0.01, 0.02, 0.0)),
     "push by time": sj.AppliedWrench("second", lambda t: jnp.stack([jnp.sin(t), t, 0.0 * t]), in_body_axes=True),
     "push by state": sj.AppliedWrench("second", moment=lambda t, motions: -t * motions["first"].angular_velocity),
 }
-ACTIVE["actuator"] = sj.Actuator(sj.Extension(ENDS), sj.Sine(2.0, 1.0), offset=0.5)
+ACTIVE["actuator"] = sj.Actuator(sj.Extension(ENDS), sj.functions.Sine(2.0, 1.0), offset=0.5)
 ACTIVE["actuator on an axis"] = sj.Actuator(sj.Turn(("first", "second"), UP, 0.3), 1.5)
 ELEMENTS = {**CONSERVATIVE, **DAMPED, **ACTIVE}
 TWO_BODIED = [name for name, force in ELEMENTS.items() if set(force.body_names) == {"first", "second"}]
 
 
-def scene_with(force: sj.AbstractForce) -> sj.Scene:
+def scene_with(force: sj.forces.AbstractForce) -> sj.Scene:
     """Two free bodies and one element."""
     first = sj.Body(2.0, [0.2, 0.3, 0.4], quaternion=_unit([0.9, 0.1, -0.2, 0.3]), points={"eye": (0.1, 0.0, 0.05)})
     second = sj.Body(
@@ -113,9 +119,9 @@ def scene_with(force: sj.AbstractForce) -> sj.Scene:
     return sj.Scene({"first": first, "second": second}, forces={"element": force})
 
 
-def answer(force: sj.AbstractForce) -> Callable[..., Any]:
+def answer(force: sj.forces.AbstractForce) -> Callable[..., Any]:
     """(t, y) -> wrenches, energy, results and power of the element, as array code."""
-    system = sj.compile_scene(scene_with(force)).system
+    system = sj.equations.compile_scene(scene_with(force)).system
     placed = system.forces["element"]
 
     def of_state(t, y):
@@ -133,7 +139,7 @@ def answer(force: sj.AbstractForce) -> Callable[..., Any]:
 
 def program(function: Callable[..., Any]) -> Callable[..., Any]:
     """A function of (t, y) as a scalar program that is evaluated at once, without compiling."""
-    return sj.scalarize(function, jnp.zeros(()), jnp.zeros(26)).compute
+    return sj.compiler.scalarize(function, jnp.zeros(()), jnp.zeros(26)).compute
 
 
 def states(n: int = 6) -> list[np.ndarray]:

@@ -18,7 +18,7 @@ DETERMINED, WITHIN, OTHERWISE = 0.005, 0.02, 3.0
 """Below this best possible standard deviation (relative), within this of the truth; otherwise so many times it."""
 
 
-def assert_identified(fitted: sj.Fit, truth: dict) -> None:
+def assert_identified(fitted: sj.studies.Fit, truth: dict) -> None:
     """The rule of this project for estimates."""
     for name, true in truth.items():
         error = np.abs(np.asarray(fitted.estimates[name]) - true)
@@ -27,7 +27,7 @@ def assert_identified(fitted: sj.Fit, truth: dict) -> None:
         assert np.all(error <= allowed), (name, fitted.estimates[name], true, best)
 
 
-def relative_best(fitted: sj.Fit, truth: dict) -> np.ndarray:
+def relative_best(fitted: sj.studies.Fit, truth: dict) -> np.ndarray:
     """Best possible standard deviations as shares of the true values."""
     return np.concatenate([np.ravel(fitted.best_possible[name] / np.abs(true)) for name, true in truth.items()])
 
@@ -73,7 +73,7 @@ def mount(velocity, angular_velocity):
 
     def build(k_x, k_y, k_z, t_x, t_y, t_z):
         K, K_r = (jnp.diag(jnp.stack(each)) for each in ((k_x, k_y, k_z), (t_x, t_y, t_z)))
-        law = sj.MatrixElastomer(K, 1e-3 * K, K_r, 1e-3 * K_r)
+        law = sj.laws.MatrixElastomer(K, 1e-3 * K, K_r, 1e-3 * K_r)
         place = {"mount": (0.03, 0.02, -0.04)}
         block = sj.Body(2.0, (4e-3, 6e-3, 5e-3), velocity=velocity, angular_velocity=angular_velocity, points=place)
         joint = sj.Spherical("ground.mount", "block.mount", sj.Bushing(law=law), starts_concentric=False)
@@ -97,23 +97,23 @@ the same polynomials, but nobody could read their standard deviations."""
 
 def shock_absorber(spring, damper) -> sj.SpringDamper:
     """Beyond -0.20 and 0.21 m/s the damper goes on along its tangent, as the paper's does."""
-    along = sj.Polynomial(jnp.concatenate([jnp.zeros(1), damper / RATE ** np.arange(1, 5)]))
+    along = sj.functions.Polynomial(jnp.concatenate([jnp.zeros(1), damper / RATE ** np.arange(1, 5)]))
 
     def tangent(rate):
         tension, slope = jax.jvp(along, (jnp.asarray(rate),), (1.0,))
-        return sj.Linear(slope, tension - slope * rate)
+        return sj.functions.Linear(slope, tension - slope * rate)
 
     return sj.SpringDamper(
         ("ground.shock", "a_arm.shock"),
-        spring=sj.Polynomial(spring / TRAVEL ** np.arange(4), center=LENGTH),
-        damper=sj.Piecewise([-0.20, 0.21], [tangent(-0.20), along, tangent(0.21)]),
+        spring=sj.functions.Polynomial(spring / TRAVEL ** np.arange(4), center=LENGTH),
+        damper=sj.functions.Piecewise([-0.20, 0.21], [tangent(-0.20), along, tangent(0.21)]),
     )
 
 
 def suspension_over_a_bump(spring, damper) -> sj.Scene:
     """At 20 m/s over a bump of 10 cm, which the wheel meets after 0.1 s."""
     scene = sj.gallery.suspension(speed=20.0)
-    road = sj.Bump(height=0.1, start=2.0, length=10.0)
-    tyre = sj.Tyre("wheel", radius=0.36325, stiffness=460e3, road=road, speed=20.0)
+    road = sj.functions.Bump(height=0.1, start=2.0, length=10.0)
+    tyre = sj.forces.Tyre("wheel", radius=0.36325, stiffness=460e3, road=road, speed=20.0)
     forces = {**scene.forces, "shock": shock_absorber(spring, damper), "tyre": tyre}
     return eqx.tree_at(lambda s: s.forces, scene, forces)

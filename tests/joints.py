@@ -18,7 +18,7 @@ AXIS = (1.0, 2.0, -0.5)
 ACROSS = (2.0, -1.0, 0.0)  # perpendicular to AXIS
 
 
-class OnParabola(sj.AbstractJoint):
+class OnParabola(sj.joints.AbstractJoint):
     """A user's own joint, written as the documentation says: a point of the second body on a surface of the first."""
 
     bodies: tuple[str, str] = eqx.field(static=True)
@@ -33,7 +33,7 @@ class OnParabola(sj.AbstractJoint):
         return PlacedOnParabola(self.bodies)
 
 
-class PlacedOnParabola(sj.AbstractPlacedJoint):
+class PlacedOnParabola(sj.joints.AbstractPlacedJoint):
     bodies: tuple[str, str] = eqx.field(static=True)
 
     @property
@@ -49,7 +49,7 @@ class PlacedOnParabola(sj.AbstractPlacedJoint):
             x = first.rotation.T @ (second.position - first.position)
             return jnp.stack([x[2] - 0.5 * (x[0] ** 2 + x[1] ** 2) - 0.1])
 
-        return sj.differentiated_rows(residual, t, *(motions[name] for name in self.bodies), is_driven=False)
+        return sj.joints.differentiated_rows(residual, t, *(motions[name] for name in self.bodies), is_driven=False)
 
 
 class Kind(NamedTuple):
@@ -71,29 +71,29 @@ KINDS = {
     "revolute at a named point": Kind(lambda: sj.Revolute(AB, "a.p", AXIS), 5),
     "universal": Kind(lambda: sj.Universal(AB, POINT, AXIS, ACROSS), 4),
     "cylindrical": Kind(lambda: sj.Cylindrical(AB, POINT, AXIS), 4),
-    "rim": Kind(lambda: sj.Rim(AB, POINT, AXIS), 2),
-    "rim with a collar": Kind(lambda: sj.Rim(AB, POINT, AXIS, is_thrust=True), 3),
+    "rim": Kind(lambda: sj.joints.Rim(AB, POINT, AXIS), 2),
+    "rim with a collar": Kind(lambda: sj.joints.Rim(AB, POINT, AXIS, is_thrust=True), 3),
     "prismatic": Kind(lambda: sj.Prismatic(AB, "b.p", AXIS), 5),
     "fixed": Kind(lambda: sj.Fixed(AB, POINT), 6),
-    "point on plane": Kind(lambda: sj.PointOnPlane("b.p", POINT, AXIS, body="a"), 1),
-    "same orientation": Kind(lambda: sj.SameOrientation(AB, POINT), 3),
-    "parallel axes": Kind(lambda: sj.ParallelAxes(AB, "b.p", AXIS), 2),
-    "perpendicular axes": Kind(lambda: sj.PerpendicularAxes(AB, POINT, AXIS, ACROSS), 1),
-    "circle": Kind(lambda: sj.PointOnCurve("b.p", sj.Circle(POINT, AXIS, 0.3), body="a"), 2),
-    "line": Kind(lambda: sj.PointOnCurve("b.p", sj.Line(POINT, AXIS), body="a"), 2),
+    "point on plane": Kind(lambda: sj.joints.PointOnPlane("b.p", POINT, AXIS, body="a"), 1),
+    "same orientation": Kind(lambda: sj.joints.SameOrientation(AB, POINT), 3),
+    "parallel axes": Kind(lambda: sj.joints.ParallelAxes(AB, "b.p", AXIS), 2),
+    "perpendicular axes": Kind(lambda: sj.joints.PerpendicularAxes(AB, POINT, AXIS, ACROSS), 1),
+    "circle": Kind(lambda: sj.joints.PointOnCurve("b.p", sj.joints.Circle(POINT, AXIS, 0.3), body="a"), 2),
+    "line": Kind(lambda: sj.joints.PointOnCurve("b.p", sj.joints.Line(POINT, AXIS), body="a"), 2),
     "implicit curve": Kind(
-        lambda: sj.PointOnCurve(
-            "b.p", sj.ImplicitCurve(lambda x: jnp.stack([x[2] - jnp.sin(3 * x[0]), x[1] - x[0] ** 2])), body="a"
+        lambda: sj.joints.PointOnCurve(
+            "b.p", sj.joints.ImplicitCurve(lambda x: jnp.stack([x[2] - jnp.sin(3 * x[0]), x[1] - x[0] ** 2])), body="a"
         ),
         2,
     ),
-    "distance": Kind(lambda: sj.Distance("a.p", "b.p", 0.7), 1),
-    "distance at the start": Kind(lambda: sj.Distance("a.p", "b.q"), 1),
-    "rotation driver": Kind(lambda: sj.RotationDriver(AB, AXIS, sj.Sine(0.7, 0.3, 0.2, 0.1)), 1),
-    "translation driver": Kind(lambda: sj.TranslationDriver(AB, "a.q", AXIS, sj.Sine(0.1, 0.4, 0.3)), 1),
-    "distance driver": Kind(lambda: sj.DistanceDriver("a.p", "b.q", lambda t: 0.5 + 0.1 * jnp.tanh(t)), 1),
+    "distance": Kind(lambda: sj.joints.Distance("a.p", "b.p", 0.7), 1),
+    "distance at the start": Kind(lambda: sj.joints.Distance("a.p", "b.q"), 1),
+    "rotation driver": Kind(lambda: sj.RotationDriver(AB, AXIS, sj.functions.Sine(0.7, 0.3, 0.2, 0.1)), 1),
+    "translation driver": Kind(lambda: sj.TranslationDriver(AB, "a.q", AXIS, sj.functions.Sine(0.1, 0.4, 0.3)), 1),
+    "distance driver": Kind(lambda: sj.joints.DistanceDriver("a.p", "b.q", lambda t: 0.5 + 0.1 * jnp.tanh(t)), 1),
     "position driver": Kind(
-        lambda: sj.PositionDriver("b.p", lambda t: jnp.stack([0.1 * t, jnp.sin(t), jnp.cos(2 * t)]), body="a"), 3
+        lambda: sj.joints.PositionDriver("b.p", lambda t: jnp.stack([0.1 * t, jnp.sin(t), jnp.cos(2 * t)]), body="a"), 3
     ),
     "one's own": Kind(lambda: OnParabola(AB), 1),
 }
@@ -132,6 +132,6 @@ def momenta(run):
     return linear, angular
 
 
-def assembled(system: sj.System) -> np.ndarray:
+def assembled(system: sj.equations.System) -> np.ndarray:
     """The flat state at the consistent start."""
     return np.asarray(assemble_now(*flatten_system(as_ideal(system))).y)

@@ -23,7 +23,7 @@ from spherejax.studies.linear.tangent import TangentEquations
 
 def moment(scene: sj.Scene, *, seed: int = 0, distance: float = 1e-3) -> sj.Trajectory:
     """A run of one sample, at a state that is displaced, moves, and keeps to the constraints."""
-    system = sj.compile_scene(scene).system
+    system = sj.equations.compile_scene(scene).system
     structure, theta = flatten_system(system)
     start = start_now(system, np.zeros(1))
     y = cases.displaced_state(system, start, seed, distance)
@@ -73,7 +73,7 @@ def deviation_rate(layout, y, rate, y0, rate0):
     return np.concatenate([np.concatenate(found), rest])
 
 
-def by_differences(lin: sj.Linearization, step: float) -> np.ndarray:
+def by_differences(lin: sj.studies.Linearization, step: float) -> np.ndarray:
     """A by central differences of fourth order of the flow: states are moved, closed again, and let go."""
     point, layout = lin.point, lin.point.system.layout
     rate = program_for(state_rate, point.structure, is_quiet=True)
@@ -97,7 +97,7 @@ def by_differences(lin: sj.Linearization, step: float) -> np.ndarray:
     return np.stack(columns, 1) - lin.inverse @ basis_rate(lin, f0)[:, lin.kept]
 
 
-def basis_rate(lin: sj.Linearization, f0, step: float = 1e-5) -> np.ndarray:
+def basis_rate(lin: sj.studies.Linearization, f0, step: float = 1e-5) -> np.ndarray:
     """How the basis follows the motion: found anew at both sides, and laid as close to the one between as can be."""
     point, layout, here = lin.point, lin.point.system.layout, lin.coordinates
     state, rate = unpack(layout, point.y), unpack(layout, f0)

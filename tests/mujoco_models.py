@@ -95,7 +95,7 @@ def scene_accelerations(scene: sj.Scene) -> dict[str, np.ndarray]:
     from spherejax.motion.integration.plan import initial_state
     from spherejax.motion.start.start_now import known_start
 
-    system = sj.compile_scene(scene).system
+    system = sj.equations.compile_scene(scene).system
     structure, theta = flatten_system(system)
     start = known_start(system, np.zeros(1))
     assert start is not None

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import spherejax as sj
 
 
-class Magnet(sj.AbstractForce):
+class Magnet(sj.forces.AbstractForce):
     """Pulls a body towards a height."""
 
     body: str = eqx.field(static=True)
@@ -20,10 +20,10 @@ class Magnet(sj.AbstractForce):
     def wrenches(self, t, motions):
         lift = self.stiffness * (self.height - motions[self.body].position[2])
         force = jnp.stack([jnp.zeros(()), jnp.zeros(()), lift if self.is_on else 0.0 * lift])
-        return {self.body: sj.Wrench(force, jnp.zeros(3))}
+        return {self.body: sj.forces.Wrench(force, jnp.zeros(3))}
 
 
-class Viscous(sj.AbstractStaticFriction):
+class Viscous(sj.laws.AbstractStaticFriction):
     """Friction that grows with speed; its number is in any unit."""
 
     rate: float
@@ -36,7 +36,7 @@ class Viscous(sj.AbstractStaticFriction):
         return []
 
 
-class WarmingFilm(sj.AbstractFilm):
+class WarmingFilm(sj.laws.AbstractFilm):
     """The full film of an oil that warms by what it absorbs, cools at a rate, and thins: nu exp(-thinning w)."""
 
     capacity: Annotated[float, sj.Unit("J/K")]
@@ -45,11 +45,13 @@ class WarmingFilm(sj.AbstractFilm):
 
     @property
     def memory(self):
-        return (sj.MemoryEntry("warmth", "K", 1.0),)
+        return (sj.forces.MemoryEntry("warmth", "K", 1.0),)
 
     def action(self, motion, gap):
         warmth = motion.memory[0]
-        found = sj.FullFilm().action(motion, gap._replace(viscosity=gap.viscosity * jnp.exp(-self.thinning * warmth)))
+        found = sj.laws.FullFilm().action(
+            motion, gap._replace(viscosity=gap.viscosity * jnp.exp(-self.thinning * warmth))
+        )
         rate = (found.pressure_power + found.shear_power) / self.capacity - self.cooling * warmth
         return found._replace(memory_rate=rate[None])
 
@@ -69,7 +71,7 @@ def helix(place):
     return jnp.stack([place[0] - jnp.cos(place[2]), place[1] - jnp.sin(place[2])])
 
 
-class Motor(sj.AbstractForce):
+class Motor(sj.forces.AbstractForce):
     """A torque by a function of time that is given to it."""
 
     body: str = eqx.field(static=True)
@@ -77,7 +79,7 @@ class Motor(sj.AbstractForce):
 
     def wrenches(self, t, motions):
         about = jnp.stack([jnp.zeros(()), jnp.zeros(()), self.torque(t)])
-        return {self.body: sj.Wrench(jnp.zeros(3), about)}
+        return {self.body: sj.forces.Wrench(jnp.zeros(3), about)}
 
 
 class Growth(eqx.Module):
@@ -89,7 +91,7 @@ class Growth(eqx.Module):
         return self.rate * x
 
 
-class Renamed(sj.AbstractForce):
+class Renamed(sj.forces.AbstractForce):
     """Keeps its argument under another name, so that nothing gives it back."""
 
     inner: float

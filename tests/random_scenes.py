@@ -273,7 +273,7 @@ def _joint(link, i, x, middle, length, speed, concentric):
             link.start == "concentric",
             link.film == "FullFilm",
         )
-        return sj.Rim(pair, middle, x["axis"][i], model, starts_concentric=at_rest, is_thrust=has_collar)
+        return sj.joints.Rim(pair, middle, x["axis"][i], model, starts_concentric=at_rest, is_thrust=has_collar)
     if link.kind == "universal":
         return sj.Universal(pair, middle, x["axis"][i], across)
     if link.kind == "fixed":
@@ -297,7 +297,7 @@ def _model(link, i, x, length, speed):
         return sj.Bushing(law=law, **_remembered(link, i, x, length, speed, stiffness, law.resists_rotation))
     clearance, radius = x["clearance"][i] * length, 0.1 * length
     stiffness = mass * speed**2 / (x["depth"][i] * clearance) ** 2.5
-    law = getattr(sj, link.normal)
+    law = getattr(sj.laws, link.normal)
     normal = law(stiffness=stiffness) if link.normal == "Hertz" else law(x["restitution"][i], stiffness=stiffness)
     mu, v1 = x["mu"][i], x["threshold"][i] * speed
     friction = {
@@ -322,8 +322,8 @@ def _model(link, i, x, length, speed):
         friction=friction,
         e_h0=width,
         e_h1=2 * width,
-        boundary=getattr(sj, link.boundary)(),
-        film=getattr(sj, link.film)(),
+        boundary=getattr(sj.laws, link.boundary)(),
+        film=getattr(sj.laws, link.film)(),
     )
 
 
@@ -331,18 +331,18 @@ def _elastomer(link, i, x, length, stiffness):
     damping = x["damping"][i] * jnp.sqrt(x["mass"][i] / stiffness)
     turning = stiffness * (0.1 * length) ** 2
     if link.model == "bushing":
-        return sj.RadialElastomer(stiffness, damping)
+        return sj.laws.RadialElastomer(stiffness, damping)
     if link.model == "vector":
-        return sj.VectorElastomer(stiffness, damping)
+        return sj.laws.VectorElastomer(stiffness, damping)
     if link.model == "curve":
         bends = jnp.array([0.01, 0.03, 0.1])
-        return sj.CurveElastomer(bends * length, bends * length * stiffness * (1 + 10 * bends), damping)
+        return sj.laws.CurveElastomer(bends * length, bends * length * stiffness * (1 + 10 * bends), damping)
     across = jnp.diag(jnp.array([1.0, 1.0, 0.3])) * stiffness
     if link.model == "hinge":
-        return sj.HingeElastomer(across, damping * across, turning, damping * turning)
+        return sj.laws.HingeElastomer(across, damping * across, turning, damping * turning)
     if link.model == "cross":
-        return sj.CrossElastomer(across, damping * across, turning, damping * turning)
-    return sj.MatrixElastomer.cylindrical(
+        return sj.laws.CrossElastomer(across, damping * across, turning, damping * turning)
+    return sj.laws.MatrixElastomer.cylindrical(
         x["axis"][i],
         radial_stiffness=stiffness,
         axial_stiffness=0.3 * stiffness,
@@ -358,40 +358,40 @@ def _remembered(link, i, x, length, speed, stiffness, turns):
     if "branches" in link.remembers:
         k, time = 0.5 * stiffness, length / (x["film"][i] * speed)
         of_turning = jnp.stack([k * lever**2, 0.3 * k * lever**2]) if turns else None
-        found["branches"] = sj.Maxwell(jnp.stack([k, 0.3 * k]), jnp.stack([time, 0.1 * time]), of_turning)
+        found["branches"] = sj.laws.Maxwell(jnp.stack([k, 0.3 * k]), jnp.stack([time, 0.1 * time]), of_turning)
     if "friction" in link.remembers:
         limit = x["mu"][i] * x["mass"][i] * GRAVITY
         half = limit / stiffness
         of_turning = (limit * lever, half / lever) if turns else (None, None)
-        found["friction"] = sj.Berg(limit, half, *of_turning)
+        found["friction"] = sj.laws.Berg(limit, half, *of_turning)
     return found
 
 
 def _closure(kind, last, x, place, length):
     axis = x["axis"][-1]
     if kind == "plane":
-        return sj.PointOnPlane(f"{last}.p", place, axis)
+        return sj.joints.PointOnPlane(f"{last}.p", place, axis)
     if kind == "line":
-        return sj.PointOnCurve(f"{last}.p", sj.Line(place, axis))
+        return sj.joints.PointOnCurve(f"{last}.p", sj.joints.Line(place, axis))
     if kind == "circle":
         across = _across(axis)
         across = across / jnp.sqrt(across @ across)
-        return sj.PointOnCurve(f"{last}.p", sj.Circle(place + 0.5 * length * across, axis, 0.5 * length))
+        return sj.joints.PointOnCurve(f"{last}.p", sj.joints.Circle(place + 0.5 * length * across, axis, 0.5 * length))
     if kind == "distance":
-        return sj.Distance("ground.anchor", f"{last}.p")
+        return sj.joints.Distance("ground.anchor", f"{last}.p")
     rate = jnp.sqrt(GRAVITY / length)
     ends = ("ground", last)
     if kind == "translation":
         return sj.TranslationDriver(ends, place, axis, Swing(0.0, 0.1 * length, rate))
     if kind == "position":
-        return sj.PositionDriver(f"{last}.p", Swing(place, 0.1 * length * axis, rate))
+        return sj.joints.PositionDriver(f"{last}.p", Swing(place, 0.1 * length * axis, rate))
     if kind == "distance driver":
         away = jnp.sqrt(place @ place)
-        return sj.DistanceDriver("ground.anchor", f"{last}.p", Swing(away, 0.1 * away, rate))
-    return sj.RotationDriver(ends, axis, sj.Sine(0.2, rate / (2 * jnp.pi)))
+        return sj.joints.DistanceDriver("ground.anchor", f"{last}.p", Swing(away, 0.1 * away, rate))
+    return sj.RotationDriver(ends, axis, sj.functions.Sine(0.2, rate / (2 * jnp.pi)))
 
 
-class Swing(sj.AbstractFunction):
+class Swing(sj.functions.AbstractFunction):
     """center + amplitude sin(rate t), of a number or of three."""
 
     center: jax.Array
@@ -409,16 +409,16 @@ def _force(kind, last, x, length, speed):
     ends = ("ground.anchor", f"{last}.p")
     return {
         "spring": lambda: sj.SpringDamper(ends, stiffness, damping, 0.5 * length),
-        "absorber": lambda: sj.ShockAbsorber(
-            ends, sj.Linear(damping), sj.Linear(3 * damping), spring=sj.Linear(stiffness)
+        "absorber": lambda: sj.forces.ShockAbsorber(
+            ends, sj.functions.Linear(damping), sj.functions.Linear(3 * damping), spring=sj.functions.Linear(stiffness)
         ),
-        "stop": lambda: sj.BumpStop(
+        "stop": lambda: sj.forces.BumpStop(
             ends, longest=length, stiffness=100 * stiffness, damping=damping, onset=0.05 * length
         ),
         "torsion": lambda: sj.TorsionalSpring(
             ("ground", last), (0.0, 0.0, 1.0), stiffness * length**2 * 0.1, damping * length**2 * 0.1
         ),
-        "tyre": lambda: sj.Tyre(f"{last}.p", length, 30 * stiffness, damping, 0.05 * length),
+        "tyre": lambda: sj.forces.Tyre(f"{last}.p", length, 30 * stiffness, damping, 0.05 * length),
         "push": lambda: sj.AppliedWrench(last, force=mass * GRAVITY * jnp.asarray(x["axis"][0])),
     }[kind]()
 
@@ -510,7 +510,7 @@ def known(structure: Structure, values, ts, rtol) -> dict[str, np.ndarray]:
         one = scene(structure, **{key: value[k] for key, value in values.items()})
         with warnings.catch_warnings():
             # Drawn velocities do not obey the joints.
-            warnings.simplefilter("ignore", sj.StartWarning)
+            warnings.simplefilter("ignore", sj.errors.StartWarning)
             found.append(histories(sj.simulate(one, ts, rtol=rtol, max_steps=MAX_STEPS)))
     return jax.tree.map(lambda *leaves: np.stack(leaves), *found)
 

@@ -47,7 +47,7 @@ class Laws:
 
     def scene(self, numbers) -> sj.Scene:
         """The ball in its socket; `numbers` may be traced."""
-        law = getattr(sj, self.normal)
+        law = getattr(sj.laws, self.normal)
         normal = law() if self.normal == "Hertz" else law(restitution=numbers["restitution"])
         friction = sj.Threlfall(mu=numbers["mu"], v1=numbers["v1"]) if self.friction else None
         ball = sj.Body(

@@ -95,16 +95,18 @@ def stiff(stiffness, damping):
 
 
 @pytest.mark.parametrize(
-    "solver", [pytest.param(sj.Rodas5P(), marks=pytest.mark.slow), diffrax.Kvaerno5()], ids=["Rosenbrock", "implicit"]
+    "solver",
+    [pytest.param(sj.solvers.Rodas5P(), marks=pytest.mark.slow), diffrax.Kvaerno5()],
+    ids=["Rosenbrock", "implicit"],
 )
 def test_a_stiff_bushing(solver):
     """Through the checkpoints of an adaptive run this was NaN. An implicit method gets the steps of Rodas5P."""
-    run = sj.simulate(stiff(**STIFF), np.concatenate([[0.0], EARLY]), rtol=1e-9, solver=sj.Rodas5P())
+    run = sj.simulate(stiff(**STIFF), np.concatenate([[0.0], EARLY]), rtol=1e-9, solver=sj.solvers.Rodas5P())
     measured = sj.Measured(EARLY, {"position.bob": np.asarray(run.position("bob"))[1:]}, noise=1e-8)
     problem = problem_of(stiff, {"stiffness": 5e5, "damping": 5e-3}, [measured], solver=solver)
-    rosenbrock = problem_of(stiff, {"stiffness": 5e5, "damping": 5e-3}, [measured], solver=sj.Rodas5P())
+    rosenbrock = problem_of(stiff, {"stiffness": 5e5, "damping": 5e-3}, [measured], solver=sj.solvers.Rodas5P())
     gradient = problem.cost_and_gradient(problem.u0).gradient
-    if isinstance(solver, sj.Rodas5P):
+    if isinstance(solver, sj.solvers.Rodas5P):
         assert_gradient(problem, 1e-4)
     for direction in np.eye(2):
         assert direction @ gradient == pytest.approx(difference(rosenbrock, direction, 3e-4), rel=1e-4)
@@ -150,7 +152,7 @@ KNOTS = np.linspace(0.0, 1.0, 21)
 class AlongX(eqx.Module):
     """A force along x by a function of time."""
 
-    history: sj.SmoothTable
+    history: sj.functions.SmoothTable
 
     def __call__(self, t):
         return jnp.stack([self.history(t), 0.0, 0.0])
@@ -158,7 +160,7 @@ class AlongX(eqx.Module):
 
 def pushed(forces):
     """A body under a force of unknown history along x."""
-    push = sj.AppliedWrench("body", AlongX(sj.SmoothTable(KNOTS, forces)))
+    push = sj.AppliedWrench("body", AlongX(sj.functions.SmoothTable(KNOTS, forces)))
     return sj.Scene({"body": sj.Body(2.0, (1e-3,) * 3)}, {}, forces={"push": push}, gravity=(0.0, 0.0, 0.0))
 
 
@@ -170,7 +172,9 @@ def test_descent_recovers_a_history_of_many_numbers():
     values = {"acceleration.body.x": run.acceleration("body")[:, 0], "position.body.x": run.position("body")[:, 0]}
     measured = sj.Measured(ts, {name: np.asarray(value) for name, value in values.items()})
     start = {"forces": sj.Parameter(np.zeros(21), positive=False, scale=1.0)}
-    method = sj.Descent(optax.adam(optax.exponential_decay(0.1, 300, 1e-2)), n_steps=300, tolerance=1e-9, reverse=True)
+    method = sj.studies.Descent(
+        optax.adam(optax.exponential_decay(0.1, 300, 1e-2)), n_steps=300, tolerance=1e-9, reverse=True
+    )
     noise = {"acceleration.body.x": 1e-2, "position.body.x": 1e-2}
     fitted = sj.fit(pushed, start, measured, noise=noise, method=method, horizon=Whole())
     np.testing.assert_allclose(fitted.estimates["forces"], truth, atol=0.02)

@@ -7,7 +7,9 @@ from adversary import FAMILIES, Family, Verdict, verdicts
 
 import spherejax as sj
 
-pytestmark = pytest.mark.filterwarnings("ignore::spherejax.SerialRunsWarning")  # times that differ from case to case
+pytestmark = pytest.mark.filterwarnings(
+    "ignore::spherejax.errors.SerialRunsWarning"
+)  # times that differ from case to case
 
 FAST = (
     "wheel on a torsion spring",

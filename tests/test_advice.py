@@ -75,15 +75,15 @@ def test_texts_of_the_library_have_no_advice_for_python_in_a_command(room):
 @pytest.mark.parametrize(
     ("command", "python", "option"),
     [
-        ("run", "Raise max_steps (solver=spherejax.Rodas5P())", "Raise --max-steps (--solver rodas5p)"),
+        ("run", "Raise max_steps (solver=spherejax.solvers.Rodas5P())", "Raise --max-steps (--solver rodas5p)"),
         ("run", "leave it out with load_mjcf(..., ignore=('a', 'b'))", "leave it out with --ignore a,b"),
         ("run", 'stops={"turning": {"stiffness": 500.0, "restitution": 0.5}}', "--stops turning=500.0:0.5"),
         ("run", "friction=sj.Threlfall(mu=1.0, v1=1e-2)", '--friction "threlfall mu=1.0 v1=1e-2"'),
-        ("run", "conformity=sj.WinklerLiner(...)", 'conformity = { kind = "WinklerLiner", ... }'),
+        ("run", "conformity=sj.laws.WinklerLiner(...)", 'conformity = { kind = "WinklerLiner", ... }'),
         ("run", "give the joint starts_concentric=False", "give the joint starts_concentric = false"),
         ("run", "leave length= out", "leave length out"),
         ("run", "position.rocker=1 um", "position.rocker=1 um"),
-        ("fit", "Let the record grow (horizon=sj.GrowingHorizon())", "Let the record grow (without --whole)"),
+        ("fit", "Let the record grow (horizon=sj.studies.GrowingHorizon())", "Let the record grow (without --whole)"),
         ("sweep", "give a folder, store='sweep.zarr'", "give a folder, --out sweep.zarr"),
         ("sweep", 'record=["final position.rocker"]', '--record "final position.rocker"'),
         ("sweep", "--vary clearance=0.1: no such number", "--vary clearance=0.1: no such number"),

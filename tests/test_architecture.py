@@ -106,11 +106,13 @@ PUBLIC_MODULES = {"spherejax.compiler"} | {
 
 
 def users_of_the_compiler() -> dict[str, set[str]]:
-    """What each file outside the compiler imports of it, the stub of the public names too."""
+    """What each file outside the compiler imports of it, the stubs of the public names too."""
     inside = {path: {n for n in imported(path) if n.startswith("spherejax.compiler")} for path in FILES}
     used = {module_of(path): names for path, names in inside.items() if names and folder_of(path) != "compiler"}
-    stub = re.findall(r"^from \.(compiler[\w.]*) import", (PACKAGE / "__init__.pyi").read_text(), re.MULTILINE)
-    return used | ({"spherejax": {f"spherejax.{name}" for name in stub}} if stub else {})
+    for stub in PACKAGE.glob("*.pyi"):
+        named = re.findall(r"^from \.(compiler[\w.]*) import", stub.read_text(), re.MULTILINE)
+        used |= {str(stub): {f"spherejax.{name}" for name in named}} if named else {}
+    return used
 
 
 def test_the_compiler_is_entered_by_public_names_and_from_few_files():

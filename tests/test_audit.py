@@ -30,7 +30,7 @@ from spherejax.motion.start.assembly import described_state
 TIMES = jnp.linspace(0.0, 0.5, 6)
 
 
-class Pump(sj.AbstractForce):
+class Pump(sj.forces.AbstractForce):
     """Pushes a body along its velocity, and says that it never adds energy."""
 
     strength: float
@@ -45,7 +45,7 @@ class Pump(sj.AbstractForce):
         return ("ball",)
 
     def wrenches(self, t, motions):
-        return {"ball": sj.Wrench(self.strength * motions["ball"].velocity, jnp.zeros(3))}
+        return {"ball": sj.forces.Wrench(self.strength * motions["ball"].velocity, jnp.zeros(3))}
 
 
 class HonestPump(Pump):
@@ -96,7 +96,7 @@ def driven(force=None) -> sj.Scene:
     ball = sj.Body(0.4, (0.001, 0.002, 0.003), position=(0.8, 0.0, 0.0), points={"end": (-0.3, 0.0, 0.0)})
     joints = {
         "pivot": sj.Revolute(("ground", "rod"), (0.0, 0.0, 0.0), (0.0, 1.0, 0.0)),
-        "motor": sj.RotationDriver(("ground", "rod"), (0.0, 1.0, 0.0), sj.Sine(0.5, 2.0)),
+        "motor": sj.RotationDriver(("ground", "rod"), (0.0, 1.0, 0.0), sj.functions.Sine(0.5, 2.0)),
         "rubber": sj.Spherical("rod.tip", "ball.end", sj.Bushing(1e4, 1e-3)),
     }
     return sj.Scene({"rod": rod, "ball": ball}, joints, {} if force is None else {"pump": force})
@@ -104,7 +104,7 @@ def driven(force=None) -> sj.Scene:
 
 @pytest.mark.parametrize(
     ("solver", "share"),
-    [(None, 1e-7), (sj.Rodas5P(), 1e-6), (sj.Ros34PW2(), 1e-4)],
+    [(None, 1e-7), (sj.solvers.Rodas5P(), 1e-6), (sj.solvers.Ros34PW2(), 1e-4)],
     ids=["Dopri8", "Rodas5P", "Ros34PW2"],
 )
 def test_the_work_of_drivers_closes_the_balance(solver, share):
@@ -136,7 +136,7 @@ def test_a_failed_audit_names_the_joint_and_the_body():
         "hinge": sj.Revolute(("ground", "rod"), (0.0, 0.0, 0.0), (0.0, 1.0, 0.0)),
     }
     scene = sj.Scene({"ball": ball, "rod": rod}, joints, ground_points={"center": (0.0, 0.0, 0.0)})
-    system = sj.compile_scene(scene).system
+    system = sj.equations.compile_scene(scene).system
     state = described_state(system)
     y = np.concatenate([state, np.zeros(system.layout.size - state.size)])
     y[7:10] += [0.0, 2e-3, 0.0]  # the rod leaves its hinge
@@ -188,7 +188,7 @@ def test_every_sound_run_shows_what_was_looked_at():
 )
 def test_who_pays_for_accounts_of_energy(scene, supplied, dissipates):
     """One entry of the state where a part may add energy, one where parts dissipate beside constraints, else none."""
-    system = sj.compile_scene(scene).system
+    system = sj.equations.compile_scene(scene).system
     assert system.layout.n_work == supplied + dissipates
     assert (system.tracks_supply, system.tracks_constraint_work) == (supplied, dissipates)
 
@@ -226,7 +226,7 @@ def test_each_check_fails_on_what_it_is_for(check, wrong):
 @pytest.mark.parametrize(
     ("vital", "remedy"),
     [
-        ("pressed", "a ball conformity=sj.SphericalProfile() or sj.WinklerLiner(...)"),
+        ("pressed", "a ball conformity=sj.laws.SphericalProfile() or sj.laws.WinklerLiner(...)"),
         ("tilt", "give the bearing its other rim"),
         ("offset", "leave e_h1 and e_h0 out"),
         ("axes", "give the two bodies a joint about that axis"),
@@ -243,7 +243,7 @@ def test_use_beyond_a_range_is_said_and_fails_nothing(vital, remedy):
 def test_what_goes_beyond_a_range_is_named_by_the_parts_that_have_one():
     """Each text by its own parts; there was one list of parts before all texts."""
     scene = dry_and_oiled()
-    system = sj.compile_scene(scene).system
+    system = sj.equations.compile_scene(scene).system
     state = described_state(system)
     y = np.concatenate([state, np.zeros(system.layout.size - state.size)])
     parts = parts_with_a_range(system, y)
@@ -271,7 +271,7 @@ def dry_and_oiled() -> sj.Scene:
     joints = {
         "dry": sj.Spherical("ground.a", "body.a", dry),
         "second": sj.Spherical("ground.b", "body.b", dry),
-        "oiled": sj.Spherical("ground.c", "body.c", sj.Lubricated(1e-4, conformity=sj.SphericalProfile())),
+        "oiled": sj.Spherical("ground.c", "body.c", sj.Lubricated(1e-4, conformity=sj.laws.SphericalProfile())),
     }
     spring = sj.TorsionalSpring(("ground", "body"), (0.0, 0.0, 1.0), 0.1)
     return sj.Scene({"body": body}, joints, {"torsion": spring}, ground_points=at)
@@ -287,7 +287,7 @@ def pressed(modulus=1e8, conformity=None):
 
 
 def test_a_run_beyond_the_range_of_eq_24_says_so_and_names_the_joint():
-    with pytest.warns(sj.OutOfRangeWarning, match="joint 'joint'.*beyond the range of their elastic law"):
+    with pytest.warns(sj.errors.OutOfRangeWarning, match="joint 'joint'.*beyond the range of their elastic law"):
         run = sj.simulate(pressed(), jnp.linspace(0, 5e-3, 6))
     assert run.status == sj.Status.SUCCEEDED
     assert "beyond the range" in run.audit
@@ -295,16 +295,16 @@ def test_a_run_beyond_the_range_of_eq_24_says_so_and_names_the_joint():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         # What the message advises; the profile of spheres has no such limit.
-        run = sj.simulate(pressed(conformity=sj.SphericalProfile()), jnp.linspace(0, 5e-3, 6))
+        run = sj.simulate(pressed(conformity=sj.laws.SphericalProfile()), jnp.linspace(0, 5e-3, 6))
     assert float(run.stats.audit[CHECKS.index("conformity")]) == NOT_MADE
-    with pytest.warns(sj.OutOfRangeWarning, match=f"{share:.2g}"):
+    with pytest.warns(sj.errors.OutOfRangeWarning, match=f"{share:.2g}"):
         swept = sj.sweep(pressed, {"modulus": [1e8, 1e11]}, [0.0, 5e-3], record=["onsets.joint"], progress=False)
     assert "beyond the range" in swept.attrs["cautions"]
     flags = dict(zip(swept["warnings"].flag_meanings.split(), swept["warnings"].flag_masks, strict=True))
     assert swept["warnings"].values.tolist() == [flags["conformity"], 0]
     (runs,) = flagged_runs(swept)
     assert (runs.what, runs.n, runs.ranges(swept)) == ("conformity", 1, {"modulus": (1e8, 1e8)})
-    with pytest.warns(sj.OutOfRangeWarning):
+    with pytest.warns(sj.errors.OutOfRangeWarning):
         simulate_many(pressed, {"modulus": np.array([1e8, 1e11])}, [0.0, 5e-3])
 
 

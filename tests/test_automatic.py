@@ -44,15 +44,15 @@ def test_an_explicit_method_where_nothing_is_stiff():
 
 
 def test_a_stiff_method_for_films_and_stiff_bushings():
-    assert chosen(sj.Lubricated(1e-4)) is sj.Rodas5P
-    assert chosen(sj.Bushing(1e6, 1e-1)) is sj.Rodas5P
-    assert chosen(sj.Bushing(1e8, 1e-2)) is sj.Rodas5P
+    assert chosen(sj.Lubricated(1e-4)) is sj.solvers.Rodas5P
+    assert chosen(sj.Bushing(1e6, 1e-1)) is sj.solvers.Rodas5P
+    assert chosen(sj.Bushing(1e8, 1e-2)) is sj.solvers.Rodas5P
 
 
 def test_the_choice_depends_on_the_tolerance():
     """At a loose tolerance a stiff method needs few steps, while stability holds the explicit one to as many."""
     assert chosen(sj.Bushing(1e6, 1e-2), 1e-10) is diffrax.Dopri8
-    assert chosen(sj.Bushing(1e6, 1e-2), 1e-5) is sj.Ros34PW2
+    assert chosen(sj.Bushing(1e6, 1e-2), 1e-5) is sj.solvers.Ros34PW2
     assert explicit_rate_limit(1e-10) > explicit_rate_limit(1e-8) > explicit_rate_limit(1e-6)
 
 
@@ -94,9 +94,9 @@ def test_a_contact_that_is_held_by_friction_is_stiff_and_one_that_vibrates_is_no
     assert chosen(sj.Dry(1e-4, friction=sj.Threlfall())) is diffrax.Dopri8
     held = compile_scene(sj.gallery.suspension(sj.Dry(1e-4, friction=sj.Threlfall()))).system
     choice = choose_solver(held, 1e-8)
-    assert isinstance(choice.solver, sj.Rodas5P)
+    assert isinstance(choice.solver, sj.solvers.Rodas5P)
     assert "'wheel_a_arm' resists under load" in choice.reason
-    assert isinstance(choose_solver(held, 1e-5).solver, sj.Ros34PW2)
+    assert isinstance(choose_solver(held, 1e-5).solver, sj.solvers.Ros34PW2)
 
 
 def test_a_film_is_looked_at_under_load_where_the_load_presses_through_it():
@@ -128,10 +128,10 @@ def test_numbers_hidden_by_jit_leave_the_choice_to_the_models_or_to_the_start():
         film = choose_solver(system_of(sj.Lubricated(1e-4, viscosity=k)))
         friction = choose_solver(system_of(sj.Dry(k, friction=sj.Threlfall())))
         assert isinstance(bushing.solver, diffrax.Dopri8)
-        assert isinstance(bushing.at_start.solver, sj.Ros34PW2)
+        assert isinstance(bushing.at_start.solver, sj.solvers.Ros34PW2)
         assert bushing.at_start.limit > explicit_rate_limit(1e-6)  # less at a looser tolerance
         assert "when the run starts" in bushing.reason
-        for choice, solver in ((film, sj.Rodas5P), (friction, diffrax.Dopri8)):
+        for choice, solver in ((film, sj.solvers.Rodas5P), (friction, diffrax.Dopri8)):
             assert isinstance(choice.solver, solver)
             assert choice.at_start is None
             assert "traced" in choice.reason
@@ -150,7 +150,7 @@ def test_numbers_behind_derivatives_and_lanes_are_looked_at():
 
     k = 1e6
     known = choose_solver(system_of(sj.Bushing(k, 1e-2)), 1e-5)
-    assert isinstance(known.solver, sj.Ros34PW2)
+    assert isinstance(known.solver, sj.solvers.Ros34PW2)
     jax.jvp(looked, (k,), (1.0,))
     jax.grad(looked)(k)
     jax.vjp(looked, k)
@@ -162,7 +162,7 @@ def test_numbers_behind_derivatives_and_lanes_are_looked_at():
     jax.vmap(looked)(jnp.array([1e3, 1e3, k, 1e3]))
     jax.vmap(jax.vmap(looked, (None, 0)), (0, None))(jnp.array([1e3, k]), jnp.array([1e-6, 1e-2]))
     jax.vmap(looked)(jnp.array([1e3, 1e3]))
-    assert [type(choice.solver) for choice in found] == [sj.Ros34PW2, sj.Ros34PW2, diffrax.Dopri8]
+    assert [type(choice.solver) for choice in found] == [sj.solvers.Ros34PW2, sj.solvers.Ros34PW2, diffrax.Dopri8]
 
 
 @pytest.mark.parametrize(("k", "b"), [(1e3, 1e-6), (1e6, 1e-2), (1e8, 1e-1), (1e6, 0.0)])
@@ -200,7 +200,7 @@ def test_each_lane_of_a_traced_run_takes_the_method_that_its_numbers_call_for():
     stages = np.asarray(runs.stats.n_evaluations) / np.asarray(runs.stats.n_steps)
     known = [run(float(damping)) for damping in dampings]
     assert [type(choose_solver(each.system, 1e-6).solver) for each in known] == [
-        diffrax.Dopri8, sj.Ros34PW2, diffrax.Dopri8, sj.Ros34PW2
+        diffrax.Dopri8, sj.solvers.Ros34PW2, diffrax.Dopri8, sj.solvers.Ros34PW2
     ]  # fmt: skip
     np.testing.assert_array_equal(stages, [float(each.stats.n_evaluations / each.stats.n_steps) for each in known])
     assert set(stages) == {13.0, 4.0}
@@ -231,8 +231,8 @@ def test_the_run_explains_method_and_tolerances():
         (diffrax.Dopri8(), True, None, "by trial (Hairer)"),
         (diffrax.Dopri8(), True, diffrax.ForwardMode(), "by trial (Hairer)"),
         (diffrax.Dopri8(), True, diffrax.DirectAdjoint(), "by trial (Hairer)"),
-        (sj.Rodas5P(), False, None, "by trial (Hairer)"),
-        (sj.Rodas5P(), True, None, "by trial (Hairer)"),
+        (sj.solvers.Rodas5P(), False, None, "by trial (Hairer)"),
+        (sj.solvers.Rodas5P(), True, None, "by trial (Hairer)"),
         (diffrax.Kvaerno5(), True, None, "by trial (Hairer)"),
     ],
 )
@@ -359,10 +359,16 @@ def controlled(model, **gains):
 @pytest.mark.parametrize(
     ("model", "filter_time", "rtol", "solver", "said"),
     [
-        (sj.Lubricated(1e-4), 1e-3, 1e-8, sj.Rodas5P, "joint 'coupler_rocker' acts"),
-        (sj.Lubricated(1e-4), 1e-3, 1e-5, sj.Ros34PW2, "joint 'coupler_rocker' acts"),
-        (sj.Lubricated(1e-4), 1e-7, 1e-5, sj.Rodas5P, "the states of force element 'motor' change at about 1.0e+07"),
-        (sj.Dry(1e-4), 1e-7, 1e-8, sj.Rodas5P, "the states of force element 'motor' change at about 1.0e+07"),
+        (sj.Lubricated(1e-4), 1e-3, 1e-8, sj.solvers.Rodas5P, "joint 'coupler_rocker' acts"),
+        (sj.Lubricated(1e-4), 1e-3, 1e-5, sj.solvers.Ros34PW2, "joint 'coupler_rocker' acts"),
+        (
+            sj.Lubricated(1e-4),
+            1e-7,
+            1e-5,
+            sj.solvers.Rodas5P,
+            "the states of force element 'motor' change at about 1.0e+07",
+        ),
+        (sj.Dry(1e-4), 1e-7, 1e-8, sj.solvers.Rodas5P, "the states of force element 'motor' change at about 1.0e+07"),
     ],
 )
 def test_the_explanation_names_the_part_that_decides(model, filter_time, rtol, solver, said):
@@ -401,7 +407,7 @@ def test_participation_of_states():
 
 def test_dense_linear_systems_raise_the_price_of_a_stiff_method(monkeypatch):
     system = system_of(sj.Bushing(1e6, 1e-1))
-    assert isinstance(choose_solver(system, 1e-8).solver, sj.Rodas5P)
+    assert isinstance(choose_solver(system, 1e-8).solver, sj.solvers.Rodas5P)
     monkeypatch.setattr(automatic, "systems_of", lambda structure: None)
     monkeypatch.setattr(automatic, "ARRAY_ELIMINATION", 100 * automatic.ARRAY_ELIMINATION)
     dear = choose_solver(system, 1e-8)

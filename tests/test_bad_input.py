@@ -139,10 +139,12 @@ FORMS = {
         lambda: pushed(sj.SpringDamper(("ground", "ball"), stiffness="1e3")), "'push': stiffness = '1e3'", "quotes"
     ),
     "a function's number": (
-        lambda: pinned(sj.RotationDriver(("ground", "arm"), (0, 0, 1), sj.Linear("1"))), "angle.slope = '1' must be one"
+        lambda: pinned(sj.RotationDriver(("ground", "arm"), (0, 0, 1), sj.functions.Linear("1"))),
+        "angle.slope = '1' must be one"
     ),
     "the class of a function": (
-        lambda: pushed(sj.SpringDamper(("ground", "ball"), spring=sj.Linear)), "Linear alone is no function", "Linear("
+        lambda: pushed(sj.SpringDamper(("ground", "ball"), spring=sj.functions.Linear)),
+        "Linear alone is no function", "Linear("
     ),
 }  # fmt: skip
 """What has another form than its field: NumPy reads numbers into many of these."""
@@ -152,7 +154,7 @@ FORMS = {
 def test_what_has_another_form_is_named_with_its_place_and_a_remedy(name):
     build, *words = FORMS[name]
     with pytest.raises(sj.SceneError) as caught:
-        sj.compile_scene(build())
+        sj.equations.compile_scene(build())
     for word in words:
         assert word in str(caught.value), (word, str(caught.value))
 
@@ -167,7 +169,7 @@ def test_what_python_has_for_numbers_is_taken():
     from fractions import Fraction
 
     scene = alone(mass=Fraction(1, 2), inertia=[Decimal("1"), np.float32(1), np.int8(1)], velocity=range(3))
-    body = sj.compile_scene(scene).system.bodies["ball"]
+    body = sj.equations.compile_scene(scene).system.bodies["ball"]
     assert (float(body.mass), *np.asarray(body.velocity)) == (0.5, 0.0, 1.0, 2.0)
 
 
@@ -312,7 +314,7 @@ SCENES = {
         "stiffness = -1",
         "Give",
     ),
-    "negative Baumgarte": (lambda: FOUR_BAR(drift=sj.Baumgarte(-1.0, 5.0)), "drift", "alpha = -1", "zero"),
+    "negative Baumgarte": (lambda: FOUR_BAR(drift=sj.solvers.Baumgarte(-1.0, 5.0)), "drift", "alpha = -1", "zero"),
     # NaN anywhere
     "NaN mass": (lambda: with_body(mass=NAN), "'rocker'", "mass = nan", "positive"),
     "NaN inertia": (lambda: with_body(inertia=(1.0, NAN, 1.0)), "'rocker'", "inertia", "nan"),
@@ -371,7 +373,7 @@ SCENES = {
         "force",
         "nan",
     ),
-    "NaN Baumgarte": (lambda: FOUR_BAR(drift=sj.Baumgarte(5.0, NAN)), "drift", "beta = nan"),
+    "NaN Baumgarte": (lambda: FOUR_BAR(drift=sj.solvers.Baumgarte(5.0, NAN)), "drift", "beta = nan"),
 }
 
 
@@ -456,7 +458,7 @@ def test_a_count_of_a_sweep_is_a_count(option, value):
 def test_values_of_a_sweep_are_numbers():
     for given in (["1", "2"], [True, False], np.array([1, 2], "m8[s]")):
         with pytest.raises(sj.SceneError, match="parameter 'm' must be a list of numbers"):
-            sj.product({"m": given})
+            sj.studies.product({"m": given})
 
 
 def test_unknown_names_of_results_are_named():

@@ -22,7 +22,7 @@ TS = np.linspace(1e-3, 0.05, 50)
 def mount(stiffness, damping):
     """A mass [kg] that arrives on an elastomer, f = k (e + b e_dot)."""
     body = sj.Body(MASS, (1e-2,) * 3, velocity=(SPEED, 0.0, 0.0), points={"ball": (0.0, 0.0, 0.0)})
-    model = sj.Bushing(law=sj.VectorElastomer(stiffness, damping))
+    model = sj.Bushing(law=sj.laws.VectorElastomer(stiffness, damping))
     joint = sj.Spherical("ground.socket", "mass.ball", model, starts_concentric=False)
     points = {"socket": (0.0, 0.0, 0.0)}
     return sj.Scene({"mass": body}, {"mount": joint}, ground_points=points, gravity=(0.0, 0.0, 0.0))

@@ -15,7 +15,9 @@ from test_continuation import block, block_at
 import spherejax as sj
 from spherejax.motion.equations.quantities import magnitudes
 
-pytestmark = pytest.mark.filterwarnings("ignore::spherejax.OutOfRangeWarning")  # 0.5 m/s press beyond Eq. 24's range
+pytestmark = pytest.mark.filterwarnings(
+    "ignore::spherejax.errors.OutOfRangeWarning"
+)  # 0.5 m/s press beyond Eq. 24's range
 
 GAP, STIFFNESS, SPEED = 1e-4, 1e10, 0.5
 BALL = 0.2
@@ -83,7 +85,7 @@ def test_samples_cost_nothing_and_repeat_to_the_last_bit(run):
 
 SCENES = {
     "oscillator": (block, 1.0, {}),
-    "oscillator by a Rosenbrock method": (block, 1.0, {"solver": sj.Rodas5P()}),
+    "oscillator by a Rosenbrock method": (block, 1.0, {"solver": sj.solvers.Rodas5P()}),
     "oscillator by diffrax": (block, 1.0, {"solver": diffrax.Kvaerno5()}),
     "oscillator on array code": (block, 1.0, {"scalar": False}),
     "four-bar": (lambda: sj.gallery.four_bar(sj.Dry(clearance=1e-4)), 0.2, {}),

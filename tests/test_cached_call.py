@@ -33,7 +33,7 @@ def height(c, mu, **options):
     return sj.simulate(sj.gallery.four_bar(joint), ts, **options).ys[-1, 2]
 found = [*jax.jit(jax.value_and_grad(lambda c: height(c, 0.1)))(1e-4)]
 found += [*jax.vmap(lambda c: height(c, 0.2))(jnp.linspace(1e-4, 2e-4, 3))]
-found += [jax.jit(lambda c: height(c, 0.2, scalar=False, solver=sj.Rodas5P()))(1e-4)]
+found += [jax.jit(lambda c: height(c, 0.2, scalar=False, solver=sj.solvers.Rodas5P()))(1e-4)]
 print(*(float(each).hex() for each in found))
 print(names.count("jit(to_be_lowered)"))
 """

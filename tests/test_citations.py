@@ -5,14 +5,15 @@ from pathlib import Path
 
 import jax.numpy as jnp
 import pytest
+from public import every_name
 
 import spherejax as sj
 from spherejax.output.citations import METHODS, WORKS, named_in, source_of
 
 CLASSES = [
     each
-    for name in sj.__all__
-    if isinstance(each := getattr(sj, name), type) and each.__module__.startswith("spherejax.") and source_of(each)
+    for each in every_name().values()
+    if isinstance(each, type) and each.__module__.startswith("spherejax.") and source_of(each)
 ]
 YEAR = r"\((\d{4})\)"
 
@@ -45,7 +46,7 @@ def test_a_run_is_cited_with_its_laws_and_its_method():
 
 
 def test_a_scene_is_cited_without_a_method():
-    said = sj.cite(sj.gallery.four_bar(sj.Lubricated(1e-4, film=sj.FullFilm())))
+    said = sj.cite(sj.gallery.four_bar(sj.Lubricated(1e-4, film=sj.laws.FullFilm())))
     assert "Hunt, K. H. and Crossley, F. R. E. (1975)" in said
     assert "Runge-Kutta" not in said
 
@@ -53,8 +54,8 @@ def test_a_scene_is_cited_without_a_method():
 @pytest.mark.parametrize(
     ("solver", "said"),
     [
-        (sj.Rodas5P(), "Rosenbrock-Wanner method Rodas5P"),
-        (sj.Dop853(), "Solving Ordinary Differential Equations I: Nonstiff Problems"),
+        (sj.solvers.Rodas5P(), "Rosenbrock-Wanner method Rodas5P"),
+        (sj.solvers.Dop853(), "Solving Ordinary Differential Equations I: Nonstiff Problems"),
     ],
     ids=["Rodas5P", "Dop853"],
 )

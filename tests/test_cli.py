@@ -281,7 +281,7 @@ def test_an_option_that_resembles_none_is_taken_for_none(given, said):
 
 
 def test_a_warning_of_ours_is_a_sentence_and_not_a_place_in_our_code():
-    assert cli._in_one_line("so\n far", sj.StartWarning, "a.py", 3) == "spherejax: warning: so far\n"
+    assert cli._in_one_line("so\n far", sj.errors.StartWarning, "a.py", 3) == "spherejax: warning: so far\n"
     assert cli._in_one_line("so", UserWarning, "a.py", 3).startswith("a.py:3: UserWarning: so")
 
 
@@ -401,22 +401,22 @@ def test_joint_words_become_models():
     lubricated = model_from(parsed("--joint", "lubricated", "--boundary", "sommerfeld"))
     assert isinstance(lubricated.boundary, sj.Sommerfeld)
     assert lubricated.viscosity == 0.4
-    assert isinstance(lubricated.film, sj.FullFilm)
-    assert isinstance(model_from(parsed("--joint", "lubricated", "--film", "radial")).film, sj.RadialFilm)
+    assert isinstance(lubricated.film, sj.laws.FullFilm)
+    assert isinstance(model_from(parsed("--joint", "lubricated", "--film", "radial")).film, sj.laws.RadialFilm)
     with pytest.raises(sj.SceneError, match="PinkusSternlicht"):
         model_from(parsed("--joint", "lubricated", "--film", "full", "--boundary", "pinkus-sternlicht"))
     bushing = model_from(parsed("--joint", "bushing", "--elastomer", "vector", "--stiffness", "2e5"))
-    assert isinstance(bushing.law, sj.VectorElastomer)
+    assert isinstance(bushing.law, sj.laws.VectorElastomer)
     assert (bushing.law.stiffness, bushing.law.damping) == (2e5, 1e-2)
 
 
 def test_a_bearing_has_a_length_and_laws_of_cylinders():
     dry = model_from(parsed("--joint", "dry", "--length", "20 mm"))
-    assert isinstance(dry.conformity, sj.JohnsonCylinder)
+    assert isinstance(dry.conformity, sj.laws.JohnsonCylinder)
     assert dry.conformity.length == pytest.approx(0.02)
     short = model_from(parsed("--joint", "lubricated", "--length", "0.02"))
     long = model_from(parsed("--joint", "lubricated", "--length", "0.02", "--film", "long"))
-    assert (type(short.film), type(long.film)) == (sj.ShortBearing, sj.LongBearing)
+    assert (type(short.film), type(long.film)) == (sj.laws.ShortBearing, sj.laws.LongBearing)
     for words, said in (
         (("--joint", "lubricated", "--film", "short"), "needs --length"),
         (("--joint", "lubricated", "--film", "full", "--length", "0.02"), "leave --length out"),
@@ -477,12 +477,12 @@ def test_every_scene_of_the_gallery_has_its_name():
 @pytest.mark.parametrize(
     ("table", "family"),
     [
-        ("NORMAL_LAWS", sj.AbstractNormalLaw),
-        ("FRICTION_LAWS", sj.AbstractFrictionLaw),
-        ("FILMS", sj.AbstractFilm),
-        ("BOUNDARIES", sj.AbstractFilmBoundary),
-        ("ELASTOMERS", sj.AbstractElastomer),
-        ("DRIFT_CONTROLS", sj.AbstractDriftControl),
+        ("NORMAL_LAWS", sj.laws.AbstractNormalLaw),
+        ("FRICTION_LAWS", sj.laws.AbstractFrictionLaw),
+        ("FILMS", sj.laws.AbstractFilm),
+        ("BOUNDARIES", sj.laws.AbstractFilmBoundary),
+        ("ELASTOMERS", sj.laws.AbstractElastomer),
+        ("DRIFT_CONTROLS", sj.solvers.AbstractDriftControl),
         ("SOLVERS", diffrax.AbstractSolver),
     ],
 )

@@ -61,7 +61,7 @@ class Plain:
         return self.strength * jnp.sin(x)
 
 
-class OwnFunction(sj.AbstractFunction):
+class OwnFunction(sj.functions.AbstractFunction):
     """A function with a static part."""
 
     law: Any = eqx.field(static=True)
@@ -135,13 +135,13 @@ FUNCTIONS: dict[str, Callable[[Any], Callable]] = {
     "module in a closure": lambda a: (lambda m: lambda x: m.law(x))(OfModule(a)),
     "module with a function": lambda a: WithFunction(lambda x: a * jnp.sin(x), jnp.asarray(1.0)),
     "own class with a static function": lambda a: OwnFunction(lambda x: a * jnp.sin(x)),
-    "table": lambda a: sj.SmoothTable([0.0, X, 1.0], jnp.stack([0.0, 1.0, 2.0]) * a * np.sin(X)),
+    "table": lambda a: sj.functions.SmoothTable([0.0, X, 1.0], jnp.stack([0.0, 1.0, 2.0]) * a * np.sin(X)),
 }
 
 
-def wrapped(function: Any) -> sj.AbstractFunction:
+def wrapped(function: Any) -> sj.functions.AbstractFunction:
     """A function as a scene takes it."""
-    return sj.Sum(function, sj.Constant(0.0))
+    return sj.functions.Sum(function, sj.functions.Constant(0.0))
 
 
 @pytest.mark.parametrize("name", FUNCTIONS)
@@ -217,46 +217,46 @@ ALONG = sj.Extension(ENDS)
 UP = (0.0, 0.0, 1.0)
 
 
-def pushed(part: sj.AbstractForce) -> sj.Scene:
+def pushed(part: sj.forces.AbstractForce) -> sj.Scene:
     """A free ball and a force element."""
     return sj.Scene({"ball": BALL}, forces={"it": part}, gravity=(0.0, 0.0, 0.0))
 
 
-def joined(part: sj.AbstractJoint, at=(0.0, 0.0, 0.0), speed=(0.0, 0.0, 0.0)) -> sj.Scene:
+def joined(part: sj.joints.AbstractJoint, at=(0.0, 0.0, 0.0), speed=(0.0, 0.0, 0.0)) -> sj.Scene:
     """A ball on a joint."""
     ball = sj.Body(1.0, [0.02] * 3, position=at, velocity=speed, points={"eye": (0.0, 0.0, 0.0)})
     return sj.Scene({"ball": ball}, {"it": part}, ground_points={"o": (0.0, 0.0, 0.0)})
 
 
-def two_slopes(a) -> sj.AbstractFunction:
+def two_slopes(a) -> sj.functions.AbstractFunction:
     """A function that is made of functions."""
     pieces: Any = [lambda v: a * v, lambda v: 2 * a * v]
-    return sj.Piecewise([0.0], pieces)
+    return sj.functions.Piecewise([0.0], pieces)
 
 
 PLACES: dict[str, Callable[[Any], sj.Scene]] = {
     "spring": lambda a: pushed(sj.SpringDamper(ENDS, spring=lambda u: a * u**3)),
     "damper": lambda a: pushed(sj.SpringDamper(ENDS, damper=lambda v: a * jnp.arctan(100 * v))),
     "law": lambda a: pushed(sj.SpringDamper(ENDS, law=lambda length, rate, t: a * length * rate + t)),
-    "shock absorber": lambda a: pushed(sj.ShockAbsorber(ENDS, lambda v: a * v, lambda v: 2 * a * v)),
+    "shock absorber": lambda a: pushed(sj.forces.ShockAbsorber(ENDS, lambda v: a * v, lambda v: 2 * a * v)),
     "torsional spring": lambda a: pushed(sj.TorsionalSpring(ENDS, UP, spring=lambda q: a * (q + 0.1))),
-    "bump stop": lambda a: pushed(sj.BumpStop(ENDS, longest=0.1, spring=lambda u: a * u, stiffness=1.0)),
+    "bump stop": lambda a: pushed(sj.forces.BumpStop(ENDS, longest=0.1, spring=lambda u: a * u, stiffness=1.0)),
     "actuator": lambda a: pushed(sj.Actuator(ALONG, lambda t: a * (t + 1))),
     "push": lambda a: pushed(sj.AppliedWrench("ball", lambda t: jnp.stack([0.0 * t, a + t, 0.0 * t]))),
     "push by state": lambda a: pushed(sj.AppliedWrench("ball", lambda t, motions: -a * motions["ball"].velocity)),
     "moment": lambda a: pushed(sj.AppliedWrench("ball", moment=lambda t: a * jnp.stack([t + 1, t, t]))),
     "controller": lambda a: pushed(sj.PID(ALONG, lambda t: a * (t + 1), 3.0)),
-    "sampled controller": lambda a: pushed(sj.SampledPID(ALONG, 0.01, lambda t: a * (t + 1), 3.0)),
-    "road": lambda a: pushed(sj.Tyre("ball.eye", 0.8, 2e3, road=lambda x, t: a * x + 0.1 * t)),
+    "sampled controller": lambda a: pushed(sj.forces.SampledPID(ALONG, 0.01, lambda t: a * (t + 1), 3.0)),
+    "road": lambda a: pushed(sj.forces.Tyre("ball.eye", 0.8, 2e3, road=lambda x, t: a * x + 0.1 * t)),
     "pieces": lambda a: pushed(sj.SpringDamper(ENDS, damper=two_slopes(a))),
     "driven angle": lambda a: joined(sj.RotationDriver(ENDS, UP, lambda t: a * (t + t**2))),
     "driven travel": lambda a: joined(sj.TranslationDriver(ENDS, "ball.eye", UP, lambda t: a * (t + t**2))),
-    "driven point": lambda a: joined(sj.PositionDriver("ball.eye", lambda t: a * jnp.stack([t, t**2, t]))),
+    "driven point": lambda a: joined(sj.joints.PositionDriver("ball.eye", lambda t: a * jnp.stack([t, t**2, t]))),
     "driven length": lambda a: joined(
-        sj.DistanceDriver("ground.o", "ball.eye", lambda t: 0.5 + a * t**2), at=(0.5, 0.0, 0.0)
+        sj.joints.DistanceDriver("ground.o", "ball.eye", lambda t: 0.5 + a * t**2), at=(0.5, 0.0, 0.0)
     ),
     "curve": lambda a: joined(
-        sj.PointOnCurve("ball.eye", sj.ImplicitCurve(lambda p: jnp.stack([p[1], p[2] - a * p[0] ** 2]))),
+        sj.joints.PointOnCurve("ball.eye", sj.joints.ImplicitCurve(lambda p: jnp.stack([p[1], p[2] - a * p[0] ** 2]))),
         speed=(1.0, 0.0, 0.0),
     ),
 }  # fmt: skip
@@ -268,13 +268,13 @@ def test_wherever_a_function_enters_it_may_close_over_a_parameter(place):
     held = []
 
     def numbers(a):
-        structure, theta = flatten_system(sj.compile_scene(PLACES[place](a)).system)
+        structure, theta = flatten_system(sj.equations.compile_scene(PLACES[place](a)).system)
         held.append(structure)
         return theta
 
     theta = jax.jit(numbers)(1.3)
     assert not reaches_tracer(own_parts(held[-1].tree))
-    known = sj.compile_scene(PLACES[place](1.3)).system
+    known = sj.equations.compile_scene(PLACES[place](1.3)).system
     y = np.linspace(0.1, 0.4, known.layout.size)
     y[:7] = [0.3, 0.1, 0.2, 1.0, 0.0, 0.0, 0.0]
     expected = jax.jit(lambda y: state_rate(known, jnp.asarray(0.2), y))(y)
@@ -312,7 +312,7 @@ def slope(friction: float) -> float:
 ROADS: dict[str, dict] = {
     "scalar program": {},
     "array code": {"scalar": False},
-    "Rosenbrock": {"solver": sj.Ros34PW2(), "rtol": 1e-10},
+    "Rosenbrock": {"solver": sj.solvers.Ros34PW2(), "rtol": 1e-10},
     "reverse through diffrax": {"adjoint": diffrax.RecursiveCheckpointAdjoint(), "max_steps": 4096},
 }
 
@@ -345,7 +345,7 @@ def turned(speed, swing):
     arm = sj.Body(2.0, [0.02] * 3, position=(0.3, 0.0, 0.0), points={"pin": (-0.3, 0.0, 0.0)})
     pivot = sj.Revolute(("ground", "arm"), "arm.pin", UP)
     motor = sj.RotationDriver(("ground", "arm"), UP, lambda t: speed * t + swing * jnp.sin(3.0 * t))
-    return sj.Scene({"arm": arm}, {"pivot": pivot, "motor": motor}, drift=sj.Projection())
+    return sj.Scene({"arm": arm}, {"pivot": pivot, "motor": motor}, drift=sj.solvers.Projection())
 
 
 def test_a_driver_that_closes_over_two_parameters():
@@ -489,13 +489,13 @@ def test_a_class_that_holds_a_traced_value_is_named():
     """A class written within a builder is no function: the error names the force, the class and the remedy."""
 
     def end(gain):
-        class Push(sj.AbstractForce):
+        class Push(sj.forces.AbstractForce):
             @property
             def body_names(self):
                 return ("ball",)
 
             def wrenches(self, t, motions):
-                return {"ball": sj.Wrench(jnp.stack([0.0 * t, 0.0 * t, gain * t]), jnp.zeros(3))}
+                return {"ball": sj.forces.Wrench(jnp.stack([0.0 * t, 0.0 * t, gain * t]), jnp.zeros(3))}
 
         scene = sj.Scene({"ball": sj.Body(1.0, [1e-3] * 3)}, forces={"it": Push()}, gravity=(0.0, 0.0, 0.0))
         return sj.simulate(scene, TS, scalar=False).position("ball")[-1, 2]

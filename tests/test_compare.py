@@ -32,7 +32,7 @@ def slider_crank(model=None):
     return sj.Scene(
         {"crank": crank, "rod": rod, "slider": slider},
         {
-            "motor": sj.RotationDriver(("ground", "crank"), (0, 1, 0), sj.Linear(SPEED)),
+            "motor": sj.RotationDriver(("ground", "crank"), (0, 1, 0), sj.functions.Linear(SPEED)),
             "bearing": sj.Revolute(("ground", "crank"), "crank.hub", (0, 1, 0)),
             "guide": sj.Prismatic(("ground", "slider"), (0.2, 0, 0), (1, 0, 0)),
             "cross": sj.Universal(("rod", "slider"), (0.2, 0, 0), across, second),
@@ -105,14 +105,18 @@ def test_the_models_share_the_numbers_of_the_joint_s_own_model():
 
 def test_a_journal_keeps_its_film_and_has_one_length():
     own = sj.Lubricated(
-        1e-4, viscosity=0.1, film=sj.LongBearing(0.05), conformity=sj.EsduCylinder(0.05), friction=sj.Threlfall(mu=0.2)
+        1e-4,
+        viscosity=0.1,
+        film=sj.laws.LongBearing(0.05),
+        conformity=sj.laws.EsduCylinder(0.05),
+        friction=sj.Threlfall(mu=0.2),
     )
     models = sj.joint_models(own)
-    assert isinstance(models["lubricated"].film, sj.LongBearing)
+    assert isinstance(models["lubricated"].film, sj.laws.LongBearing)
     assert models["lubricated"].film.length == models["dry"].conformity.length == 0.05
     longer = sj.joint_models(own, length=0.06)
-    assert isinstance(longer["lubricated"].film, sj.LongBearing)
-    assert isinstance(longer["dry"].conformity, sj.EsduCylinder)
+    assert isinstance(longer["lubricated"].film, sj.laws.LongBearing)
+    assert isinstance(longer["dry"].conformity, sj.laws.EsduCylinder)
     assert longer["lubricated"].film.length == longer["dry"].conformity.length == 0.06
     rubbing = sj.joint_models(sj.Ideal(friction=sj.Threlfall(mu=0.2), radius=0.01), length=0.02)
     assert rubbing["friction"].friction.mu == 0.2
@@ -279,7 +283,7 @@ def test_a_run_that_fails_is_a_row_with_its_reason():
 @pytest.mark.slow
 def test_a_scene_file_is_compared_on_the_command_line(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    sj.save_scene(plain(), "crank.toml", settings=sj.SimulationSettings(t1=0.02))
+    sj.save_scene(plain(), "crank.toml", settings=sj.files.SimulationSettings(t1=0.02))
     assert cli.main(["compare", "crank.toml", "--out", "found"]) == 2
     assert "name the one that is studied, joint='bearing'; on the command line --of bearing" in capsys.readouterr().err
     words = ["--of", "pin", "--quick", "--samples", "401", "--clearance", "0.2 mm", "--body", "slider"]

@@ -64,11 +64,15 @@ SCENES = {
     "bristles": (lambda: bouncing(sj.LuGre(), 20.0), 4e-3),
     "PID": (lambda: controlling.motor(sj.PID(controlling.ROTOR, 1.5, **controlling.GAINS)), 0.5),
     "sampled PID": (lambda: controlling.sampled_motor(0.01), 0.5),
-    "film with memory": (lambda: film_scene(sj.FullFilm()), 0.01),
+    "film with memory": (lambda: film_scene(sj.laws.FullFilm()), 0.01),
     "rubber": (
         lambda: driven(
-            sj.Bushing(law=sj.VectorElastomer(2e5, 0.0), branches=sj.Maxwell(1e5, 0.1), friction=sj.Berg(40.0, 1e-4)),
-            sj.Sine(3e-4, 5.0),
+            sj.Bushing(
+                law=sj.laws.VectorElastomer(2e5, 0.0),
+                branches=sj.laws.Maxwell(1e5, 0.1),
+                friction=sj.laws.Berg(40.0, 1e-4),
+            ),
+            sj.functions.Sine(3e-4, 5.0),
         ),
         0.5,
     ),

@@ -112,14 +112,14 @@ def _exact(point) -> np.ndarray:
 
 @pytest.mark.slow
 def test_delay_and_first_sample():
-    late = sj.SampledPID(ROTOR, 0.02, 1.5, **GAINS, first_sample=0.013, delayed=True)
+    late = sj.forces.SampledPID(ROTOR, 0.02, 1.5, **GAINS, first_sample=0.013, delayed=True)
     run = sj.simulate(motor(late), TS, rtol=1e-11)
     wanted = sampled_answer(TS, 0.02, first=0.013, delayed=True)
     np.testing.assert_allclose(_seen(run), wanted, atol=2e-9)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("solver", [sj.Rodas5P(), "Kvaerno5", "Tsit5"])
+@pytest.mark.parametrize("solver", [sj.solvers.Rodas5P(), "Kvaerno5", "Tsit5"])
 def test_any_method_lands_on_samples(solver):
     import diffrax
 
@@ -168,8 +168,8 @@ def test_pendulum_under_digital_control_that_meets_a_stop():
     arm = sj.Body(1.0, (0.01, 0.01, 0.01), position=(length, 0.0, 0.0), points={"tip": (0.0, 0.0, 0.0)})
     pivot = sj.Revolute(("ground", "arm"), point=(0.0, 0.0, 0.0), axis=(0.0, 1.0, 0.0))
     turn = sj.Turn(("ground", "arm"), axis=(0.0, -1.0, 0.0))  # counts upwards
-    control = sj.SampledPID(turn, period, sj.SmoothStep(0.0, 0.3, 0.0, 1.2), 30.0, 60.0, 2.0)
-    floor = sj.BumpStop(("ground", "arm.tip"), longest=stop, stiffness=stiffness, direction=(0.0, 0.0, 1.0))
+    control = sj.forces.SampledPID(turn, period, sj.functions.SmoothStep(0.0, 0.3, 0.0, 1.2), 30.0, 60.0, 2.0)
+    floor = sj.forces.BumpStop(("ground", "arm.tip"), longest=stop, stiffness=stiffness, direction=(0.0, 0.0, 1.0))
     scene = sj.Scene({"arm": arm}, {"pivot": pivot}, {"motor": control, "stop": floor})
     ts = np.linspace(0.0, 1.0, 26)
     runs = [sj.simulate(scene, ts, rtol=rtol) for rtol in (1e-10, 1e-12)]
@@ -181,7 +181,7 @@ def test_pendulum_under_digital_control_that_meets_a_stop():
 
 def _pendulum(ts, length, period, stop, stiffness) -> np.ndarray:
     """The angle above the horizontal."""
-    smooth = sj.SmoothStep(0.0, 0.3, 0.0, 1.2)
+    smooth = sj.functions.SmoothStep(0.0, 0.3, 0.0, 1.2)
     y, i, z, found = np.zeros(2), 0.0, 0.0, []
     for k in range(round(ts[-1] / period) + 1):
         t = k * period
@@ -205,9 +205,9 @@ def _pendulum(ts, length, period, stop, stiffness) -> np.ndarray:
 # In continuous time, and signals --------------------------------------------------------------------------------------
 
 
-def _lag(strength: float, time: float) -> sj.AbstractForce:
+def _lag(strength: float, time: float) -> sj.forces.AbstractForce:
     """The element in the docstring of `AbstractForceWithMemory`, as a reader would copy it."""
-    text = inspect.getdoc(sj.AbstractForceWithMemory) or ""
+    text = inspect.getdoc(sj.forces.AbstractForceWithMemory) or ""
     block = text[text.index("    class ") : text.index("What is remembered")]
     scope: dict[str, Any] = {"sj": sj, "jnp": jnp}
     exec(textwrap.dedent(block).replace("'''", '"""'), scope)
@@ -224,15 +224,15 @@ WHEEL, LIMITS = sj.Turn(("ground", "wheel"), axis=(0.0, 0.0, 1.0)), (-0.4, 0.15)
 def many() -> sj.Trajectory:
     """Motors under control, of angle and of speed, and balls: one with a thrust that lags, others pushed by signals."""
     values, times = SIGNAL
-    controlled = motor(sj.PID(ROTOR, sj.Linear(3.0, 0.2), **GAINS), speed=100.0)
+    controlled = motor(sj.PID(ROTOR, sj.functions.Linear(3.0, 0.2), **GAINS), speed=100.0)
     ball = sj.Body(2.0, (1.0, 1.0, 1.0))
     along = {name: sj.Travel(("ground", name), (1.0, 0.0, 0.0)) for name in ("held", "drawn", "table")}
     forces = {
         "lag": _lag(3.0, 0.1),
-        "hold": sj.SampledActuator(along["held"], times, values),
-        "lines": sj.SampledActuator(along["drawn"], times, values, linear=True),
+        "hold": sj.forces.SampledActuator(along["held"], times, values),
+        "lines": sj.forces.SampledActuator(along["drawn"], times, values, linear=True),
         "drive": sj.PID(WHEEL, 4.0, 0.3, 1.5, limits=LIMITS, tracking_time=0.05, of_rate=True, offset=0.01),
-        "by table": sj.Actuator(along["table"], sj.Table([0.0, 0.5, 1.0], [0.0, 1.0, 0.0]), offset=0.25),
+        "by table": sj.Actuator(along["table"], sj.functions.Table([0.0, 0.5, 1.0], [0.0, 1.0, 0.0]), offset=0.25),
     }
     wheel = sj.Body(1.0, (0.01, 0.01, 0.02))
     bearing = sj.Revolute(("ground", "wheel"), point=(0.0, 0.0, 0.0), axis=(0.0, 0.0, 1.0))
@@ -356,7 +356,7 @@ def test_poles_of_the_closed_loop():
 
 
 def test_linearization_says_that_samples_are_held():
-    with pytest.warns(sj.LinearizationWarning, match="'motor' samples"):
+    with pytest.warns(sj.errors.LinearizationWarning, match="'motor' samples"):
         sj.linearize(sampled_motor(0.01))
 
 
@@ -453,7 +453,7 @@ def _network(activation) -> sj.Network:
     return sj.Network(eqx.nn.MLP(2, "scalar", 4, 1, activation=activation, key=jax.random.key(1)))
 
 
-def _pushed(force: sj.AbstractForce) -> sj.Scene:
+def _pushed(force: sj.forces.AbstractForce) -> sj.Scene:
     return sj.Scene({"ball": sj.Body(1.0, (1, 1, 1), position=(0.5, 0, 0))}, forces={"law": force}, gravity=(0, 0, 0))
 
 
@@ -546,7 +546,7 @@ def test_controllers_in_files(tmp_path):
     assert (control.period, control.proportional, control.tracking_time) == (0.01, 0.8, 0.1)
     np.testing.assert_array_equal(control.limits, [-2.0, 2.0])
     np.testing.assert_array_equal(shaker.values, [1000.0, 0.0])
-    pid = sj.PID(sj.Extension(("ground", "rotor")), sj.Sine(0.1, 2.0), 3.0, filter_time=0.1, derivative=1.0)
+    pid = sj.PID(sj.Extension(("ground", "rotor")), sj.functions.Sine(0.1, 2.0), 3.0, filter_time=0.1, derivative=1.0)
     whole = eqx.tree_at(lambda s: s.forces, scene, {**scene.forces, "push": pid})
     again = tmp_path / "again.toml"
     sj.save_scene(whole, again)
@@ -559,15 +559,15 @@ ALONG = sj.Travel(("ground", "rotor"), (1.0, 0.0, 0.0))
 @pytest.mark.parametrize(
     ("force", "words"),
     [
-        (lambda: sj.SampledPID(ROTOR, 0.0), "period = 0 .*positive"),
-        (lambda: sj.SampledPID(ROTOR, 0.01, first_sample=np.nan), "first_sample"),
+        (lambda: sj.forces.SampledPID(ROTOR, 0.0), "period = 0 .*positive"),
+        (lambda: sj.forces.SampledPID(ROTOR, 0.01, first_sample=np.nan), "first_sample"),
         (lambda: sj.PID(ROTOR, limits=(1.0, -1.0)), "limits .*increase"),
         (lambda: sj.PID(ROTOR, limits=(1.0, 2.0, 3.0)), "limits .*two numbers"),
         (lambda: sj.PID(ROTOR, tracking_time=0.1), "tracking_time .*limits and an integral"),
         (lambda: sj.PID(ROTOR, derivative=1.0, of_rate=True), "filter_time .*rate of a rate"),
         (lambda: sj.PID(ROTOR, filter_time=-1.0, derivative=1.0), "filter_time"),
-        (lambda: sj.SampledActuator(ALONG, [0.0, 0.0], [1.0, 2.0]), "times .*increase"),
-        (lambda: sj.SampledActuator(ALONG, [0.0, 1.0], [1.0]), "times .*as many as values"),
+        (lambda: sj.forces.SampledActuator(ALONG, [0.0, 0.0], [1.0, 2.0]), "times .*increase"),
+        (lambda: sj.forces.SampledActuator(ALONG, [0.0, 1.0], [1.0]), "times .*as many as values"),
         (lambda: sj.Actuator(sj.Extension(("rotor", "rotor.x"))), "two bodies"),
     ],
 )

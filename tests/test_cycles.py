@@ -32,7 +32,11 @@ def duffing(frequency=0.1, force=0.3):
     """x'' + 0.2 x' + x + x^3 = F cos(w t): a body on a guide."""
     body = sj.Body(1.0, (2.0, 2.0, 2.0), points={"center": (0.0, 0.0, 0.0)})
     spring = sj.SpringDamper(
-        ("ground.wall", "body.center"), 1.0, DAMPING, spring=sj.Polynomial([0.0, 0.0, 0.0, CUBIC]), direction=X
+        ("ground.wall", "body.center"),
+        1.0,
+        DAMPING,
+        spring=sj.functions.Polynomial([0.0, 0.0, 0.0, CUBIC]),
+        direction=X,
     )
     return sj.Scene(
         {"body": body},
@@ -70,7 +74,7 @@ def reference(x, frequency, force):
 
 @pytest.fixture(scope="module")
 def branch():
-    return sj.continuation(
+    return sj.studies.continuation(
         duffing,
         "frequency",
         (0.17, 0.25),
@@ -162,7 +166,7 @@ def test_a_point_of_a_branch_is_a_cycle(branch):
 
 def test_a_period_that_is_none_is_found_out():
     """The force has 10 s; a motion that is the same after 7 s is none of it."""
-    with pytest.warns(sj.CycleWarning, match=r"does not repeat itself after 7 s"):
+    with pytest.warns(sj.errors.CycleWarning, match=r"does not repeat itself after 7 s"):
         cycle = sj.steady_cycle(duffing(0.1), period=7.0)
     assert not cycle.succeeded
     assert str(cycle).startswith("no cycle:")
@@ -236,7 +240,7 @@ def test_a_pendulum_swings_slower_the_wider_it_swings():
     assert cycle.period == pytest.approx(4 / w0 * scipy.special.ellipk(np.sin(widest / 2) ** 2), rel=1e-7)
     assert 1.2 < widest < 1.7
     assert "neutral" in str(cycle)
-    with pytest.warns(sj.CycleWarning, match="rests there"):
+    with pytest.warns(sj.errors.CycleWarning, match="rests there"):
         assert not sj.steady_cycle(pendulum(0.0), near=1.5).succeeded
 
 
@@ -246,7 +250,7 @@ def test_a_pendulum_swings_slower_the_wider_it_swings():
 @pytest.mark.slow
 def test_multipliers_from_disturbed_starts_are_as_good_as_they_say():
     """By a stiff method: the product is that of the damping, to no more than twice the error that is told."""
-    cycle = sj.steady_cycle(duffing(0.25), period=4.0, settle=5, solver=sj.Rodas5P())
+    cycle = sj.steady_cycle(duffing(0.25), period=4.0, settle=5, solver=sj.solvers.Rodas5P())
     assert cycle.succeeded, cycle.diagnosis
     assert 0 < cycle.multipliers.doubt < 3e-6
     assert abs(np.prod(cycle.multipliers.values) - np.exp(-DAMPING * 4.0)) < 2 * cycle.multipliers.doubt
@@ -256,7 +260,7 @@ def test_multipliers_from_disturbed_starts_are_as_good_as_they_say():
 @pytest.mark.slow
 def test_a_path_of_a_scene_is_a_number_too():
     """The same branch along the cubic stiffness, by its path."""
-    branch = sj.continuation(
+    branch = sj.studies.continuation(
         duffing(0.25), "forces.spring.damping", (0.2, 0.4), period=4.0, first_step=0.5, largest_step=1.0
     )
     assert branch.succeeded
@@ -274,7 +278,7 @@ def test_a_stop_in_a_cycle():
 
     def hit(frequency, force):
         scene = duffing(frequency, force)
-        stop = sj.BumpStop(("ground.wall", "body.center"), longest=0.2, stiffness=50.0, direction=X)
+        stop = sj.forces.BumpStop(("ground.wall", "body.center"), longest=0.2, stiffness=50.0, direction=X)
         return eqx.tree_at(lambda s: s.forces, scene, {**scene.forces, "stop": stop})
 
     cycle = sj.steady_cycle(hit(0.25, 0.4), period=4.0, settle=30)
@@ -289,7 +293,7 @@ def test_a_stop_in_a_cycle():
 
 def on_rubber():
     """An arm whose end is in a bushing."""
-    law = sj.MatrixElastomer(
+    law = sj.laws.MatrixElastomer(
         np.diag([1e4, 2e4, 3e4]), np.diag([10.0, 20.0, 30.0]), np.diag([60.0, 80.0, 90.0]), np.diag([0.1, 0.1, 0.1])
     )
     arm = sj.Body(2.0, (1e-2, 2e-2, 2.5e-2), (0.1, 0.0, 0.0), points={"ball": (-0.1, 0.0, 0.0)})
@@ -304,7 +308,7 @@ def on_rubber():
 @pytest.mark.slow
 def test_small_answers_are_the_linear_ones():
     """To 1e-4 for a hundredth of a newton, each output at each frequency; larger ones depart, and are distorted."""
-    found = sj.swept_sine(
+    found = sj.studies.swept_sine(
         on_rubber(), "forces.push.force.z", ["position.arm.z", "reaction.mount.z"], [2.0, 6.0, 9.0, 25.0], [1e-2, 30.0]
     )
     assert found.succeeded.all()
@@ -329,7 +333,7 @@ def test_a_sweep_jumps_where_its_branch_folds(branch):
     frequencies = [0.17, 0.19, 0.205, 0.212, 0.218, 0.223, 0.24]
     sizes = {}
     for sweep in ("up", "down"):
-        found = sj.swept_sine(
+        found = sj.studies.swept_sine(
             resting_duffing(), "forces.push.force.x", "position.body.x", frequencies, 0.3, sweep=sweep, settle=15
         )
         assert found.is_stable.all()
@@ -356,7 +360,7 @@ def test_a_driven_pendulum_softens():
         {"pivot": sj.Revolute(("ground", "bob"), (0.0, 0.0, 0.0), Y)},
         {"drag": sj.TorsionalSpring(("ground", "bob"), Y, 0.0, 0.1)},
     )
-    found = sj.swept_sine(scene, "gravity.x", "position.bob.x", 0.4, [1e-3, 3.0], settle=3, samples=32)
+    found = sj.studies.swept_sine(scene, "gravity.x", "position.bob.x", 0.4, [1e-3, 3.0], settle=3, samples=32)
     J, w = 1e-2 + 0.25, 2 * np.pi * 0.4
     linear = 0.25 / (0.5 * 9.81 + 0.1j * w - J * w * w)
     assert found.response[0, 0, 0] == pytest.approx(linear, rel=1e-5)
@@ -387,19 +391,31 @@ def test_a_driven_pendulum_softens():
         (lambda: sj.steady_cycle(duffing(), period=1.0, settle=-1), "settle = -1"),
         (lambda: sj.steady_cycle(duffing(), period=1.0, samples=4), "too few"),
         (lambda: sj.steady_cycle("duffing", period=1.0), "no scene and no run"),
-        (lambda: sj.continuation(duffing, "frequency", (0.1, 0.1), period=1.0), "two different"),
-        (lambda: sj.continuation(duffing, "freqency", (0.1, 0.2), period=1.0), "cannot be called with freqency"),
-        (lambda: sj.continuation(duffing(), "forces.sprng.stiffness", (1, 2), period=1.0), "did you mean 'spring'"),
-        (lambda: sj.continuation(duffing, "frequency", (0.1, 0.2), period=lambda f: -f), "must be positive"),
-        (lambda: sj.continuation(duffing, "frequency", (0.1, 0.2), period=1.0, first_step=2.0), "first_step = 2.0"),
+        (lambda: sj.studies.continuation(duffing, "frequency", (0.1, 0.1), period=1.0), "two different"),
         (
-            lambda: sj.continuation(duffing, "frequency", (0.1, 0.2), period=1.0, outputs="position.body"),
+            lambda: sj.studies.continuation(duffing, "freqency", (0.1, 0.2), period=1.0),
+            "cannot be called with freqency",
+        ),
+        (
+            lambda: sj.studies.continuation(duffing(), "forces.sprng.stiffness", (1, 2), period=1.0),
+            "did you mean 'spring'",
+        ),
+        (lambda: sj.studies.continuation(duffing, "frequency", (0.1, 0.2), period=lambda f: -f), "must be positive"),
+        (
+            lambda: sj.studies.continuation(duffing, "frequency", (0.1, 0.2), period=1.0, first_step=2.0),
+            "first_step = 2.0",
+        ),
+        (
+            lambda: sj.studies.continuation(duffing, "frequency", (0.1, 0.2), period=1.0, outputs="position.body"),
             "is a vector; name one component",
         ),
-        (lambda: sj.swept_sine(on_rubber(), "forces.push.force", "position.arm.z", 1.0, 1.0), "is 3 numbers"),
-        (lambda: sj.swept_sine(on_rubber(), "bodies.arm.mass", "position.arm.z", 1.0, 1.0), "cannot be shaken"),
-        (lambda: sj.swept_sine(on_rubber(), "gravity.z", "position.arm.z", [1.0, -1.0], 1.0), "frequencies = "),
-        (lambda: sj.swept_sine(on_rubber(), "gravity.z", "position.arm.z", 1.0, 1.0, sweep="left"), "sweep='left'"),
+        (lambda: sj.studies.swept_sine(on_rubber(), "forces.push.force", "position.arm.z", 1.0, 1.0), "is 3 numbers"),
+        (lambda: sj.studies.swept_sine(on_rubber(), "bodies.arm.mass", "position.arm.z", 1.0, 1.0), "cannot be shaken"),
+        (lambda: sj.studies.swept_sine(on_rubber(), "gravity.z", "position.arm.z", [1.0, -1.0], 1.0), "frequencies = "),
+        (
+            lambda: sj.studies.swept_sine(on_rubber(), "gravity.z", "position.arm.z", 1.0, 1.0, sweep="left"),
+            "sweep='left'",
+        ),
     ],
 )
 def test_what_makes_no_sense_is_refused(request_, words):
@@ -410,7 +426,7 @@ def test_what_makes_no_sense_is_refused(request_, words):
 def test_an_element_that_samples_is_refused():
     """Its count of samples does not repeat itself; without a word its samples would not be taken."""
     ball = sj.Body(1.0, (1e-3, 1e-3, 1e-3), position=(0.0, 0.0, 0.3))
-    held = sj.SampledPID(sj.Travel(("ground", "ball"), (0.0, 0.0, 1.0)), 0.05, 0.1, 20.0)
+    held = sj.forces.SampledPID(sj.Travel(("ground", "ball"), (0.0, 0.0, 1.0)), 0.05, 0.1, 20.0)
     scene = sj.Scene({"ball": ball}, forces={"held": held})
     with pytest.raises(sj.SceneError, match=r"force 'held' samples.*sj\.PID"):
         sj.steady_cycle(scene, period=1.0)

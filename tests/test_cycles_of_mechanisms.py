@@ -57,7 +57,7 @@ def mathieu_multipliers(amplitude, frequency, damping=0.05):
 @pytest.mark.slow
 def test_a_shaken_pendulum_has_the_multipliers_of_mathieu():
     """At twice its own frequency it leaves the vertical by period doubling, which is located along the amplitude."""
-    branch = sj.continuation(
+    branch = sj.studies.continuation(
         lambda amplitude: mathieu(amplitude, 1.4), "amplitude", (0.002, 0.06), period=1 / 1.4, settle=0
     )
     assert branch.succeeded, branch.diagnosis
@@ -74,7 +74,7 @@ def test_a_shaken_pendulum_has_the_multipliers_of_mathieu():
 @pytest.mark.slow
 def test_disturbed_starts_keep_to_the_constraints():
     """The same pendulum by a stiff method: a driver, a slide and a hinge hold, and the multipliers are SciPy's."""
-    cycle = sj.steady_cycle(mathieu(0.02, 1.4), period=1 / 1.4, settle=0, solver=sj.Rodas5P())
+    cycle = sj.steady_cycle(mathieu(0.02, 1.4), period=1 / 1.4, settle=0, solver=sj.solvers.Rodas5P())
     assert cycle.succeeded, cycle.diagnosis
     assert 0 < cycle.multipliers.doubt < 1e-9
     wanted = mathieu_multipliers(0.02, 1.4)
@@ -155,8 +155,8 @@ def test_a_motion_that_does_not_repeat_itself_says_so():
 
     Rounding decides where it is then, and so which of two things is said.
     """
-    pin = sj.Dry(5e-4, conformity=sj.JohnsonCylinder(0.02))
+    pin = sj.Dry(5e-4, conformity=sj.laws.JohnsonCylinder(0.02))
     off, changed = r"still off by .* may repeat itself after several periods only, or never", "and did not before"
-    with pytest.warns(sj.CycleWarning, match=f"{off}|{changed}"):
+    with pytest.warns(sj.errors.CycleWarning, match=f"{off}|{changed}"):
         cycle = sj.steady_cycle(sj.gallery.piston(pin), period=0.012, rtol=1e-7)
     assert not cycle.succeeded

@@ -42,7 +42,7 @@ def exact_motion(ts, mass=MASS):
 WAYS = {
     "lane": {},
     "array code": {"scalar": False},
-    "Rosenbrock": {"solver": sj.Rodas5P()},
+    "Rosenbrock": {"solver": sj.solvers.Rodas5P()},
     "own control": {"stepsize_controller": diffrax.PIDController(1e-9, 1e-11)},
     "implicit": {"solver": diffrax.Kvaerno5()},
 }

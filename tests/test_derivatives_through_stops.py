@@ -24,8 +24,8 @@ def ball_scene(stiffness, start=0.0, speed=1.0, mass=1.0) -> sj.Scene:
     return sj.Scene(
         {"ball": ball},
         forces={
-            "near": sj.BumpStop(("ball", "ground.near"), shortest=0.2, stiffness=stiffness),
-            "far": sj.BumpStop(("ball", "ground.far"), shortest=0.2, stiffness=stiffness),
+            "near": sj.forces.BumpStop(("ball", "ground.near"), shortest=0.2, stiffness=stiffness),
+            "far": sj.forces.BumpStop(("ball", "ground.far"), shortest=0.2, stiffness=stiffness),
         },
         gravity=(0.0, 0.0, 0.0),
         ground_points={"near": (NEAR + 0.2, 0.0, 0.0), "far": (FAR - 0.2, 0.0, 0.0)},
@@ -116,7 +116,7 @@ def test_by_an_array_program():
 
 
 @pytest.mark.parametrize(
-    "solver", [sj.Rodas5P(), pytest.param(sj.Ros34PW2(), marks=pytest.mark.slow)], ids=["Rodas5P", "W"]
+    "solver", [sj.solvers.Rodas5P(), pytest.param(sj.solvers.Ros34PW2(), marks=pytest.mark.slow)], ids=["Rodas5P", "W"]
 )
 def test_rosenbrock_methods(solver):
     """They were wrong by 2e-6 to 3e-4 (3e-3 by Ros34PW2), as their steps happened to fall."""
@@ -130,9 +130,9 @@ def test_rosenbrock_methods(solver):
     ("make", "solver"),
     [
         (socket_scene, None),
-        pytest.param(socket_scene, sj.Rodas5P(), marks=pytest.mark.slow),
+        pytest.param(socket_scene, sj.solvers.Rodas5P(), marks=pytest.mark.slow),
         pytest.param(bearing_scene, None, marks=pytest.mark.slow),
-        pytest.param(bearing_scene, sj.Rodas5P(), marks=pytest.mark.slow),
+        pytest.param(bearing_scene, sj.solvers.Rodas5P(), marks=pytest.mark.slow),
     ],
     ids=["socket", "socket-Rodas5P", "bearing", "bearing-Rodas5P"],
 )
@@ -167,7 +167,7 @@ def bounce(law: Any, start) -> sj.Scene:
 
 
 def stop(**law):
-    return sj.BumpStop(("ball", "ground.o"), shortest=0.2, **law)
+    return sj.forces.BumpStop(("ball", "ground.o"), shortest=0.2, **law)
 
 
 LAWS = {
@@ -176,10 +176,10 @@ LAWS = {
     "two at once": {"a": stop(stiffness=1e7), "b": stop(stiffness=3e7)},
     "one behind the other": {
         "a": stop(stiffness=1e7),
-        "b": sj.BumpStop(("ball", "ground.o"), 0.2 - 1e-5, stiffness=1e8),
+        "b": sj.forces.BumpStop(("ball", "ground.o"), 0.2 - 1e-5, stiffness=1e8),
     },
     "hysteresis": sj.Flores(restitution=0.7, stiffness=1e7, exponent=1),
-    "dissipation": sj.HuntCrossleyDissipation(0.1, stiffness=1e7, exponent=1),
+    "dissipation": sj.laws.HuntCrossleyDissipation(0.1, stiffness=1e7, exponent=1),
     "nearly linear": sj.Hertz(stiffness=1e7, exponent=1.05),
 }
 
@@ -190,12 +190,12 @@ BY_ROSENBROCK = tuple(name for name in LAWS if name != "nearly linear")
 
 def test_hysteresis_by_a_rosenbrock_method():
     """Wrong by 5e-6 where errors of derivatives were judged as an explicit method's."""
-    test_laws_of_all_kinds("hysteresis", sj.Rodas5P())
+    test_laws_of_all_kinds("hysteresis", sj.solvers.Rodas5P())
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("name", "solver"), [*((name, None) for name in LAWS), *((name, sj.Rodas5P()) for name in BY_ROSENBROCK)]
+    ("name", "solver"), [*((name, None) for name in LAWS), *((name, sj.solvers.Rodas5P()) for name in BY_ROSENBROCK)]
 )
 def test_laws_of_all_kinds(name, solver):
     """Whatever the law, the ball comes back later by v_end / v_start for each unit of its start."""
@@ -210,7 +210,7 @@ def test_laws_of_all_kinds(name, solver):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("solver", [None, sj.Rodas5P()], ids=["explicit", "Rodas5P"])
+@pytest.mark.parametrize("solver", [None, sj.solvers.Rodas5P()], ids=["explicit", "Rodas5P"])
 def test_a_torsional_stop(solver):
     """A wheel between its limits: the closed form of the ball, with angles."""
 
@@ -218,7 +218,9 @@ def test_a_torsional_stop(solver):
         stiffness, speed, inertia = numbers
         spin = speed * jnp.array([0.0, 0.0, 1.0])
         wheel = sj.Body(1.0, inertia * jnp.ones(3), angular_velocity=spin)
-        limits = sj.TorsionalStop(("ground", "wheel"), (0.0, 0.0, 1.0), smallest=FAR, largest=NEAR, stiffness=stiffness)
+        limits = sj.forces.TorsionalStop(
+            ("ground", "wheel"), (0.0, 0.0, 1.0), smallest=FAR, largest=NEAR, stiffness=stiffness
+        )
         joint = sj.Revolute(("ground", "wheel"), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
         scene = sj.Scene({"wheel": wheel}, {"joint": joint}, {"limits": limits}, gravity=(0.0, 0.0, 0.0))
         run = sj.simulate(scene, jnp.array([0.0, 0.6]), solver=solver)
@@ -240,7 +242,7 @@ def test_a_sweep_records_them():
 
     stiffnesses = [1e5, 1e7, 1e9]
     result = sj.sweep(build, {"stiffness": stiffnesses, "start": [0.05]}, np.array([0.0, 0.8]),
-                      record=[sj.Sensitivity("final position.ball", by=("start",))])  # fmt: skip
+                      record=[sj.studies.Sensitivity("final position.ball", by=("start",))])  # fmt: skip
     slopes = np.asarray(result["sensitivity_final_position.ball"])
     np.testing.assert_allclose(slopes[..., 0, 0], 1.0, atol=1e-6)  # it has touched both
 
@@ -277,13 +279,13 @@ TRANSFORMS = {
 @pytest.mark.parametrize("transform", TRANSFORMS.values(), ids=TRANSFORMS)
 def test_rosenbrock_methods_say_where_they_are_not_sure(transform):
     """Derivatives through a contact with an exponent of 1.05 were wrong by 1e-5 to 1e-4, and nothing said so."""
-    end = transform(lambda start: end_of_bounce(LAWS["nearly linear"], start, solver=sj.Rodas5P()))
+    end = transform(lambda start: end_of_bounce(LAWS["nearly linear"], start, solver=sj.solvers.Rodas5P()))
     with pytest.raises(sj.SimulationWarning, match=UNSURE):  # warnings are errors here
         end(0.01)
 
 
 def test_studies_say_where_they_are_not_sure():
-    ts, options = np.array([0.0, 0.6]), {"solver": sj.Rodas5P()}
+    ts, options = np.array([0.0, 0.6]), {"solver": sj.solvers.Rodas5P()}
     with pytest.raises(sj.SimulationWarning, match=UNSURE):
         sj.sensitivity(nearly_linear_scene, {"start": 0.01}, ts, observables="position.ball", **options)
     with pytest.raises(sj.SimulationWarning, match=UNSURE):
@@ -295,7 +297,7 @@ def test_studies_say_where_they_are_not_sure():
 
 def test_a_rosenbrock_method_that_was_chosen_says_it_too():
     def end(offset):
-        law = sj.HuntCrossleyDissipation(0.1, stiffness=1e7, exponent=1.05)
+        law = sj.laws.HuntCrossleyDissipation(0.1, stiffness=1e7, exponent=1.05)
         film = sj.Lubricated(1e-4, 0.4, normal=law)
         ball = sj.Body(1.0, (1e-3,) * 3, position=(offset, 0.0, 0.0), points={"center": (0.0, 0.0, 0.0)})
         joint = sj.Spherical("ground.o", "ball.center", film, starts_concentric=False)
@@ -310,9 +312,9 @@ def test_a_rosenbrock_method_that_was_chosen_says_it_too():
 
 @pytest.mark.parametrize("exponent", [1.0, 1.4, 1.5, 2.0])
 def test_values_and_contacts_that_are_right_do_not_warn(exponent):
-    assert end_of_bounce(LAWS["nearly linear"], 0.01, solver=sj.Rodas5P()) < 0.1
+    assert end_of_bounce(LAWS["nearly linear"], 0.01, solver=sj.solvers.Rodas5P()) < 0.1
     law = sj.Hertz(stiffness=1e7, exponent=exponent)
-    jax.make_jaxpr(jax.jacfwd(lambda start: end_of_bounce(law, start, solver=sj.Rodas5P())))(0.01)
+    jax.make_jaxpr(jax.jacfwd(lambda start: end_of_bounce(law, start, solver=sj.solvers.Rodas5P())))(0.01)
 
 
 def preloaded_scene(start, preload=300.0):
@@ -380,7 +382,9 @@ def test_a_damped_stop_with_an_onset_against_differences():
     """Its stiffness builds up over a depth, so that no rate jumps; its damping lets go before the ball does."""
 
     def end(numbers, rtol=1e-8):
-        stop = sj.BumpStop(("ball", "ground.o"), shortest=0.2, stiffness=numbers[0], damping=numbers[1], onset=1e-4)
+        stop = sj.forces.BumpStop(
+            ("ball", "ground.o"), shortest=0.2, stiffness=numbers[0], damping=numbers[1], onset=1e-4
+        )
         ball = sj.Body(1.0, (1e-3,) * 3, position=(numbers[2], 0.0, 0.0), velocity=(1.0, 0.0, 0.0))
         points = {"o": (0.52, 0.0, 0.0)}
         scene = sj.Scene({"ball": ball}, forces={"stop": stop}, gravity=(0.0, 0.0, 0.0), ground_points=points)

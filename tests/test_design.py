@@ -23,32 +23,34 @@ SPEED, MASS, ROOM = 1.0, 2.0, 0.02
 def test_a_smooth_peak_lies_between_the_largest_sample_and_its_bound(sharpness):
     values = jnp.array(np.random.default_rng(0).normal(size=200))
     largest = float(jnp.max(jnp.abs(values)))
-    found = float(sj.smooth_peak(values, sharpness))
+    found = float(sj.studies.smooth_peak(values, sharpness))
     assert largest < found <= largest * 200 ** (1 / sharpness)
-    assert float(sj.smooth_peak(1e9 * values, sharpness)) == pytest.approx(1e9 * found, rel=1e-12)
+    assert float(sj.studies.smooth_peak(1e9 * values, sharpness)) == pytest.approx(1e9 * found, rel=1e-12)
 
 
 def test_a_smooth_peak_of_equal_samples_reaches_its_bound():
-    assert float(sj.smooth_peak(jnp.full(8, -3.0), 3.0)) == pytest.approx(6.0, rel=1e-12)
+    assert float(sj.studies.smooth_peak(jnp.full(8, -3.0), 3.0)) == pytest.approx(6.0, rel=1e-12)
 
 
 def test_a_vector_counts_by_its_length():
     values = jnp.array([[3.0, 0.0, 4.0], [0.0, 1.0, 0.0]])
-    assert float(sj.smooth_peak(values, 1e3)) == pytest.approx(5.0, rel=1e-12)
+    assert float(sj.studies.smooth_peak(values, 1e3)) == pytest.approx(5.0, rel=1e-12)
 
 
 @pytest.mark.parametrize("values", [np.zeros(5), np.zeros((5, 3))])
 def test_a_history_of_zeros(values):
-    peak, slope = jax.value_and_grad(sj.smooth_peak)(jnp.asarray(values))
+    peak, slope = jax.value_and_grad(sj.studies.smooth_peak)(jnp.asarray(values))
     assert float(peak) == 0.0
     np.testing.assert_array_equal(slope, 0.0)
 
 
 def test_the_derivative_of_a_smooth_peak():
     values = jnp.array([0.0, 1.0, -2.0, 1.9])
-    slope = jax.grad(sj.smooth_peak)(values, 20.0)
+    slope = jax.grad(sj.studies.smooth_peak)(values, 20.0)
     steps = 1e-6 * np.eye(4)
-    differences = [(sj.smooth_peak(values + h, 20.0) - sj.smooth_peak(values - h, 20.0)) / 2e-6 for h in steps]
+    differences = [
+        (sj.studies.smooth_peak(values + h, 20.0) - sj.studies.smooth_peak(values - h, 20.0)) / 2e-6 for h in steps
+    ]
     np.testing.assert_allclose(slope, differences, atol=1e-8)
 
 
@@ -151,7 +153,7 @@ def test_an_interrupt_keeps_what_was_seen():
 def mount(stiffness, damping):
     """A mass that arrives on an elastomer; damping [s] as in the elastomer's law k (e + b e_dot)."""
     body = sj.Body(MASS, (1e-2,) * 3, velocity=(SPEED, 0.0, 0.0), points={"ball": (0.0, 0.0, 0.0)})
-    model = sj.Bushing(law=sj.VectorElastomer(stiffness, damping))
+    model = sj.Bushing(law=sj.laws.VectorElastomer(stiffness, damping))
     joint = sj.Spherical("ground.socket", "mass.ball", model, starts_concentric=False)
     points = {"socket": (0.0, 0.0, 0.0)}
     return sj.Scene({"mass": body}, {"mount": joint}, ground_points=points, gravity=(0.0, 0.0, 0.0))

@@ -158,7 +158,8 @@ def test_without_a_folder_to_write_to_a_run_is_a_run(tmp_path):
 
 def test_code_of_a_users_own_is_never_kept(tmp_path):
     def pushed(newtons):
-        return f'dict(push=sj.AppliedWrench("bob", force=sj.UserFunction(lambda t: jnp.array([0.0, 0.0, {newtons}]))))'
+        push = f"sj.functions.UserFunction(lambda t: jnp.array([0.0, 0.0, {newtons}]))"
+        return f'dict(push=sj.AppliedWrench("bob", force={push}))'
 
     answers = [in_a_process(tmp_path, pushed(newtons)) for newtons in (1.0, 2.0, 1.0)]
     assert all(run and equations for _, run, equations in answers)
@@ -219,11 +220,11 @@ def test_functions_of_this_package_are_told_by_what_they_close_over():
 
 def test_trees_are_told_by_the_functions_in_them():
     def tree(function):
-        return jax.tree.structure(sj.UserFunction(function))
+        return jax.tree.structure(sj.functions.UserFunction(function))
 
     assert value_fingerprint(tree(lambda t: 2 * t)) != value_fingerprint(tree(lambda t: 3 * t))
     assert known_fingerprint(tree(lambda t: 2 * t)) is None
-    assert known_fingerprint(jax.tree.structure(sj.Sine(1.0, 2.0))) is not None
+    assert known_fingerprint(jax.tree.structure(sj.functions.Sine(1.0, 2.0))) is not None
 
 
 def test_what_is_in_a_set_is_looked_at_too():

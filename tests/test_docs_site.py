@@ -11,8 +11,10 @@ from urllib.parse import unquote, urlsplit
 import browsing
 import pytest
 from documentation import DOCS, program
+from public import NAMESPACES
 
 import spherejax as sj
+from spherejax.namespaces import MOVED
 
 PHONE, DESKTOP = (390, 844), (1300, 900)
 needs_browser = pytest.mark.skipif(bool(browsing.missing()), reason=browsing.missing() or "-")
@@ -103,9 +105,10 @@ def inventory(site: Path) -> set[str]:
 
 
 def test_every_public_name_is_in_the_reference(site):
-    modules = [name for name in sj.__all__ if inspect.ismodule(getattr(sj, name))]
-    assert {"gallery", "plot", "priors", "runtime"} == set(modules)
+    modules = {name for name in sj.__all__ if inspect.ismodule(getattr(sj, name))}
+    assert modules == {"gallery", "plot", "priors", "runtime", *NAMESPACES}
     names = {f"spherejax.{name}" for name in sj.__all__ if name not in modules}
+    names |= {f"spherejax.{space}.{name}" for name, space in MOVED.items()}
     for module in (sj.gallery, sj.plot, sj.priors):
         names |= {f"{module.__name__}.{name}" for name in module.__all__}
     names |= {"spherejax.runtime.configure", "spherejax.Trajectory.position", "spherejax.Threlfall.secant"}

@@ -15,7 +15,7 @@ import spherejax as sj
 from spherejax.motion.integration.lanes.inside import _density, _stage_weights, trees_of
 from spherejax.motion.solvers.dop853 import TwoErrors
 
-TABLEAU = sj.Dop853.tableau
+TABLEAU = sj.solvers.Dop853.tableau
 TS = jnp.linspace(0.0, 0.1, 6)
 
 
@@ -88,14 +88,16 @@ def rate(t, y, args=None, np=jnp):
 
 def step_of_ours(h):
     term, y = diffrax.ODETerm(rate), jnp.array([1.0, 0.5])
-    return sj.Dop853().step(term, 0.3, 0.3 + h, y, None, sj.Dop853().init(term, 0.3, 0.3 + h, y, None), False)
+    return sj.solvers.Dop853().step(
+        term, 0.3, 0.3 + h, y, None, sj.solvers.Dop853().init(term, 0.3, 0.3 + h, y, None), False
+    )
 
 
 def test_a_step_is_scipys_inside_too():
     h = 0.2
     theirs, (y1, _, dense_info, _, _) = step_by_scipy(h), step_of_ours(h)
     np.testing.assert_allclose(y1, theirs.y, rtol=1e-14)
-    inside = sj.Dop853.interpolation_cls(t0=0.3, t1=0.3 + h, **dense_info)
+    inside = sj.solvers.Dop853.interpolation_cls(t0=0.3, t1=0.3 + h, **dense_info)
     of_theirs = theirs.dense_output()
     for share in (0.0, 0.1, 0.37, 0.8, 1.0):
         np.testing.assert_allclose(inside.evaluate(0.3 + share * h), of_theirs(0.3 + share * h), rtol=1e-13)
@@ -106,7 +108,7 @@ def test_a_step_is_scipys_inside_too():
 def test_its_error_is_hairers_of_one_component():
     """Of a state of one entry the norms are its entries."""
     term, y = diffrax.ODETerm(lambda t, y, args: -y * y), jnp.array([1.0])
-    _, error, dense_info, _, _ = sj.Dop853().step(term, 0.0, 0.5, y, None, (True, y), False)
+    _, error, dense_info, _, _ = sj.solvers.Dop853().step(term, 0.0, 0.5, y, None, (True, y), False)
     made = np.asarray(dense_info["k"])[:13]
     theirs = DOP853(lambda t, y: -y * y, 0.0, np.array([1.0]), 2.0)
     expected = theirs._estimate_error_norm(made / 0.5, 0.5, np.ones(1))
@@ -128,7 +130,7 @@ def test_errors_of_any_size_are_told():
 
 def test_a_step_without_length_is_its_start():
     _, _, dense_info, _, _ = step_of_ours(0.0)
-    inside = sj.Dop853.interpolation_cls(t0=0.3, t1=0.3, **dense_info)
+    inside = sj.solvers.Dop853.interpolation_cls(t0=0.3, t1=0.3, **dense_info)
     assert inside.evaluate(0.3).tolist() == [1.0, 0.5]
 
 
@@ -142,7 +144,7 @@ def test_errors_fall_with_the_eighth_power():
     def run(n):
         return diffrax.diffeqsolve(
             diffrax.ODETerm(rate),
-            sj.Dop853(),
+            sj.solvers.Dop853(),
             0.3,
             2.3,
             2.0 / n,
@@ -166,14 +168,16 @@ def height(joint, scale, **options):
 
 
 def test_a_run_is_that_of_dopri8():
-    run, expected = (height(sj.Ideal(), 1.0, rtol=1e-9, solver=solver) for solver in (sj.Dop853(), diffrax.Dopri8()))
+    run, expected = (
+        height(sj.Ideal(), 1.0, rtol=1e-9, solver=solver) for solver in (sj.solvers.Dop853(), diffrax.Dopri8())
+    )
     np.testing.assert_allclose(run, expected, atol=1e-10)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("joint", [sj.Ideal(), sj.Dry(1e-4, friction=sj.Threlfall(mu=0.1))], ids=["ideal", "dry"])
 def test_runs_with_derivatives_in_lanes_and_by_diffrax_are_those_of_dopri8(joint):
-    of_ours = {"rtol": 1e-9, "solver": sj.Dop853()}
+    of_ours = {"rtol": 1e-9, "solver": sj.solvers.Dop853()}
     moved = (1.0,), (1.0,)
     expected, slope = jax.jvp(lambda x: height(joint, x, rtol=1e-11, solver=diffrax.Dopri8()), *moved)
     found, along = jax.jvp(lambda x: height(joint, x, **of_ours), *moved)

@@ -154,7 +154,7 @@ def test_springs_and_arrows_carry_their_names():
     assert set(scene.forces) <= {text.get_text() for text in labels(sj.draw(scene))}
     bob = sj.Body(1.0, (1e-2,) * 3, points={"top": (0, 0, 0.3)})
     joints = {"hinge": sj.Revolute(("ground", "bob"), (0, 0, 0.3), (0, 1, 0))}
-    pull = {"pull": sj.AppliedWrench("bob", force=sj.Constant((9.0, 0.0, 0.0)))}
+    pull = {"pull": sj.AppliedWrench("bob", force=sj.functions.Constant((9.0, 0.0, 0.0)))}
     # What turns about a joint and is called like it says so once.
     damper = {"hinge": sj.TorsionalSpring(("ground", "bob"), (0, 1, 0), damping=1.0)}
     figure = sj.draw(sj.Scene({"bob": bob}, joints, {**pull, **damper}))
@@ -485,16 +485,16 @@ def kinds():
         "prismatic": sj.Prismatic(("ground", "b1"), (0.5, 0, 0), (1, 0, 0)),
         "universal": sj.Universal(("ground", "b2"), (1.0, 0, 0), (1, 0, 0), (0, 1, 0)),
         "fixed": sj.Fixed(("ground", "b3"), (1.5, 0, 0)),
-        "plane": sj.PointOnPlane("b4.a", (0.0, 0, 0), (0, 0, 1)),
+        "plane": sj.joints.PointOnPlane("b4.a", (0.0, 0, 0), (0, 0, 1)),
         "revolute": sj.Revolute(("ground", "b5"), (2.5, 0, 0), (0, 1, 0)),
         "driver": sj.RotationDriver(("ground", "b5"), (0, 1, 0), lambda t: 2 * t),
-        "distance": sj.Distance("b3.b", "b4.b"),
-        "drive": sj.PositionDriver("b6.a", lambda t: jnp.stack([3.0 + t, 0 * t, 0 * t])),
+        "distance": sj.joints.Distance("b3.b", "b4.b"),
+        "drive": sj.joints.PositionDriver("b6.a", lambda t: jnp.stack([3.0 + t, 0 * t, 0 * t])),
     }
     forces = {
         "spring": sj.SpringDamper(("b0.b", "b1.b"), stiffness=100.0),
         "twist": sj.TorsionalSpring(("ground", "b5"), (0, 1, 0), stiffness=1.0),
-        "tyre": sj.Tyre("b4.b", 0.15, stiffness=1e4, speed=1.0, road=sj.Sine(0.05, 1.0)),
+        "tyre": sj.forces.Tyre("b4.b", 0.15, stiffness=1e4, speed=1.0, road=sj.functions.Sine(0.05, 1.0)),
     }
     return sj.Scene({f"b{i}": body(0.5 * i) for i in range(7)}, joints, forces)
 
@@ -520,9 +520,9 @@ def test_joints_of_directions_have_symbols_along_them():
         return sj.Body(1.0, (1e-2, 1e-2, 1e-2), position=(x, 0, 0))
 
     joints = {
-        "same": sj.SameOrientation(("ground", "a"), (0.2, 0, 0)),
-        "parallel": sj.ParallelAxes(("a", "b"), (0.6, 0, 0), (1, 0, 1)),
-        "perpendicular": sj.PerpendicularAxes(("b", "c"), (1.2, 0, 0), (1, 0, 0), (0, 0, 1)),
+        "same": sj.joints.SameOrientation(("ground", "a"), (0.2, 0, 0)),
+        "parallel": sj.joints.ParallelAxes(("a", "b"), (0.6, 0, 0), (1, 0, 1)),
+        "perpendicular": sj.joints.PerpendicularAxes(("b", "c"), (1.2, 0, 0), (1, 0, 0), (0, 0, 1)),
     }
     scene = sj.Scene({"a": body(0.3), "b": body(0.9), "c": body(1.5)}, joints)
     drawn = mechanism_of(scene).joints
@@ -582,7 +582,7 @@ def test_a_box_does_not_hide_the_mechanism():
 def test_the_arm_of_a_circle_runs_from_its_center_to_its_point():
     scene = sj.Scene(
         {"ball": sj.Body(1.0, (1e-3,) * 3, position=(1.0, 0.0, 0.5), points={"eye": (0.0, 0.0, 0.0)})},
-        {"arm": sj.PointOnCurve("ball.eye", sj.Circle((0.0, 0.0, 0.5), (0, 0, 1), 1.0))},
+        {"arm": sj.joints.PointOnCurve("ball.eye", sj.joints.Circle((0.0, 0.0, 0.5), (0, 0, 1), 1.0))},
     )
     assert mechanism_of(scene).joints["arm"].kind == "PointOnCircle"
     arm = paths(sj.draw(scene, view=(-90, 0)), "joint:arm")[1]

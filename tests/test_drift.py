@@ -25,10 +25,10 @@ from spherejax.physics.bodies import inertia_in_world
 from spherejax.physics.state import unpack
 
 CONTROLS = {
-    "none": sj.NoDriftControl(),
-    "baumgarte": sj.Baumgarte(),
-    "post_stabilization": sj.PostStabilization(),
-    "projection": sj.Projection(),
+    "none": sj.solvers.NoDriftControl(),
+    "baumgarte": sj.solvers.Baumgarte(),
+    "post_stabilization": sj.solvers.PostStabilization(),
+    "projection": sj.solvers.Projection(),
 }
 CORRECTING = ("post_stabilization", "projection")
 ENERGY = 0.05  # exchanged between weight and motion of the four-bar [J]
@@ -117,8 +117,8 @@ def test_all_controls_give_one_motion(rtol, limit):
 @pytest.fixture(scope="module")
 def displaced():
     """A state of the four-bar with bristles and work, off the constraints by about a micrometer and 1 m/s."""
-    scene = sj.gallery.four_bar(sj.Dry(cases.C, friction=sj.LuGre()), drift=sj.Projection())
-    system = sj.compile_scene(scene, track_work=True).system
+    scene = sj.gallery.four_bar(sj.Dry(cases.C, friction=sj.LuGre()), drift=sj.solvers.Projection())
+    system = sj.equations.compile_scene(scene, track_work=True).system
     y = cases.displaced_state(system, assemble_now(*flatten_system(as_ideal(system))), 3, 1e-6)
     y[system.layout.work_start :] = 0.123
     y[3:7] *= 1.001
@@ -173,7 +173,7 @@ def test_correction_is_the_least_in_the_metric_of_the_masses(displaced):
 
 def test_without_feedback_the_program_has_no_terms_of_it():
     def operations(control):
-        structure, _ = flatten_system(sj.compile_scene(sj.gallery.four_bar(drift=CONTROLS[control])).system)
+        structure, _ = flatten_system(sj.equations.compile_scene(sj.gallery.four_bar(drift=CONTROLS[control])).system)
         return program_for(state_rate, structure).scalar.n_operations_inside
 
     assert operations("none") == operations("projection") == operations("post_stabilization")
@@ -211,7 +211,7 @@ def test_redundant_constraints_do_no_harm_to_the_correction():
     # The two hinges ask for the same five equations: the correction is that of one hinge.
     found = []
     for n_hinges in (1, 2):
-        system = sj.compile_scene(door(n_hinges, sj.Projection())).system
+        system = sj.equations.compile_scene(door(n_hinges, sj.solvers.Projection())).system
         y = cases.displaced_state(system, assemble_now(*flatten_system(as_ideal(system))), 3, 1e-6)
         for _ in range(2):
             y = np.asarray(corrected(system, 0.0, jnp.asarray(y)))
@@ -231,8 +231,8 @@ def test_projection_goes_with_contacts():
 
 
 def test_projection_goes_with_a_stiff_method():
-    scene = door(1, sj.Projection())
-    stiff = sj.simulate(scene, cases.times(0.5, 6), rtol=1e-8, solver=sj.Rodas5P()).require_success()
+    scene = door(1, sj.solvers.Projection())
+    stiff = sj.simulate(scene, cases.times(0.5, 6), rtol=1e-8, solver=sj.solvers.Rodas5P()).require_success()
     explicit = sj.simulate(scene, cases.times(0.5, 6), rtol=1e-10).require_success()
     assert np.asarray(stiff.constraint_violation).max() < ROUNDING
     np.testing.assert_allclose(stiff.position("bob"), explicit.position("bob"), rtol=0, atol=1e-7)
@@ -286,7 +286,7 @@ def test_lanes_equal_single_runs():
 # Requests -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("wrong", ["projection", sj.Projection, 5.0])
+@pytest.mark.parametrize("wrong", ["projection", sj.solvers.Projection, 5.0])
 def test_what_is_no_drift_control_is_named(wrong):
     with pytest.raises(sj.SceneError, match=r"drift = .*no drift control; give .*Projection\(\)"):
         sj.simulate(sj.gallery.four_bar(drift=wrong), cases.times(0.1))

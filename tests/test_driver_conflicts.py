@@ -40,7 +40,7 @@ def started(scene, ts=TS):
 
 def cubic(*changes):
     """Numbers of a cubic in time, some of them changed; none is 0 or 1, so that all make one program."""
-    return sj.Polynomial(
+    return sj.functions.Polynomial(
         [changes[k] if k < len(changes) and changes[k] else a for k, a in enumerate((0.2, 0.7, 0.3, 0.4))]
     )
 
@@ -78,7 +78,7 @@ def test_a_run_is_refused_before_it_begins():
 AGREEING = {
     "alike": turned(cubic(), cubic()),
     "after turns": turned(cubic(None, 20.0), cubic(0.2 + 2 * np.pi, 20.0)),
-    "the other order": turned(cubic(), sj.Polynomial([-0.2, -0.7, -0.3, -0.4]), pairs=OTHER_ORDER),
+    "the other order": turned(cubic(), sj.functions.Polynomial([-0.2, -0.7, -0.3, -0.4]), pairs=OTHER_ORDER),
     "travel": slid(cubic(), cubic()),
 }
 
@@ -103,8 +103,8 @@ def crank_and_rocker(crank_speed, rocker_speed):
         "rocker_pivot": sj.Revolute(("ground", "rocker"), (span, 0.0, 0.0), y),
         "left": sj.Revolute(("crank", "coupler"), (0.0, 0.0, 0.5), y),
         "right": sj.Revolute(("coupler", "rocker"), (span, 0.0, 0.5), y),
-        "first": sj.RotationDriver(("ground", "crank"), y, sj.Linear(crank_speed, 0.0)),
-        "second": sj.RotationDriver(("ground", "rocker"), y, sj.Linear(rocker_speed, 0.0)),
+        "first": sj.RotationDriver(("ground", "crank"), y, sj.functions.Linear(crank_speed, 0.0)),
+        "second": sj.RotationDriver(("ground", "rocker"), y, sj.functions.Linear(rocker_speed, 0.0)),
     }
     return sj.Scene(bodies, joints)
 
@@ -118,8 +118,8 @@ def test_drivers_of_bodies_that_joints_connect():
 
 def test_a_driver_that_the_joints_do_not_allow_is_named_with_them():
     """A body on a pivot, driven in a direction that the pivot holds."""
-    scene = turned(sj.Linear(1.0, 0.0), pairs=(("ground", "bob"),))
-    push = sj.TranslationDriver(("ground", "bob"), (0.5, 0.0, 0.0), (0.0, 1.0, 0.0), sj.Linear(1.0, 0.0))
+    scene = turned(sj.functions.Linear(1.0, 0.0), pairs=(("ground", "bob"),))
+    push = sj.TranslationDriver(("ground", "bob"), (0.5, 0.0, 0.0), (0.0, 1.0, 0.0), sj.functions.Linear(1.0, 0.0))
     scene = sj.Scene(scene.bodies, {"pivot": scene.joints["pivot"], "push": push})
     with pytest.raises(sj.SceneError, match=r"driver 'push' asks at t = 0 s for velocities that 'pivot' do not allow"):
         started(scene)
@@ -129,7 +129,7 @@ def test_lanes_whose_drivers_fight_do_not_start():
     """What is traced has no name to give: the lane's start counts as not closed."""
 
     def residual(speed, curvature):
-        scene = turned(cubic(), sj.Polynomial([0.2, speed, curvature, 0.4]))
+        scene = turned(cubic(), sj.functions.Polynomial([0.2, speed, curvature, 0.4]))
         return assemble(*flatten_system(as_ideal(compile_scene(scene).system)), 0.0).residual_after
 
     found = jax.jit(jax.vmap(residual))(jnp.array([0.7, 0.8, 0.7]), jnp.array([0.3, 0.3, 0.2]))

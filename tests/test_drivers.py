@@ -44,13 +44,13 @@ def run():
         "pivot": sj.Revolute(("ground", "turning"), "turning.pin", Y),
         "motor": sj.RotationDriver(("ground", "turning"), Y, Spin(40.0, 0.5)),
         "rail": sj.Prismatic(("ground", "sliding"), (0.3, 0.0, 0.0), slope),
-        "push": sj.TranslationDriver(("ground", "sliding"), "sliding.end", slope, sj.Sine(0.1, 2.0)),
+        "push": sj.TranslationDriver(("ground", "sliding"), "sliding.end", slope, sj.functions.Sine(0.1, 2.0)),
         "hinge": sj.Revolute(("ground", "lifted"), "lifted.pin", Y),
-        "jack": sj.DistanceDriver("ground.peg", "lifted.end", lambda t: 0.6 + 0.15 * jnp.sin(4 * t)),
-        "hand": sj.PositionDriver("led.end", path),
+        "jack": sj.joints.DistanceDriver("ground.peg", "lifted.end", lambda t: 0.6 + 0.15 * jnp.sin(4 * t)),
+        "hand": sj.joints.PositionDriver("led.end", path),
     }
     bodies = {name: arm() for name in ("turning", "sliding", "lifted", "led")}
-    scene = sj.Scene(bodies, joints, ground_points={"peg": (0.0, 0.0, 0.6)}, drift=sj.Projection())
+    scene = sj.Scene(bodies, joints, ground_points={"peg": (0.0, 0.0, 0.6)}, drift=sj.solvers.Projection())
     return sj.simulate(scene, cases.times(2.0, 201), rtol=1e-9, solver=DOPRI8).require_success()
 
 
@@ -111,7 +111,10 @@ def test_a_driven_point_follows_its_path(run):
 @pytest.mark.parametrize("start", [0.5, 2.0, -3.0, 40.0])
 def test_start_is_assembled_to_the_driver(start):
     """From any angle to the driven one, on the right branch, with the driven velocity."""
-    joints = {"pivot": sj.Revolute(PAIR, "arm.pin", Y), "motor": sj.RotationDriver(PAIR, Y, sj.Linear(2.0, start))}
+    joints = {
+        "pivot": sj.Revolute(PAIR, "arm.pin", Y),
+        "motor": sj.RotationDriver(PAIR, Y, sj.functions.Linear(2.0, start)),
+    }
     scene = sj.Scene({"arm": arm()}, joints)
     assembly = sj.simulate(scene, jnp.array([0.25]), solver=DOPRI8).assembly  # the start is at the first sample
     angle = start + 0.5
@@ -122,7 +125,7 @@ def test_start_is_assembled_to_the_driver(start):
 
 def test_baumgarte_holds_a_driven_motion():
     """Feedback knows the driven velocity: D v + Phi_t, not D v."""
-    joints = {"pivot": sj.Revolute(PAIR, "arm.pin", Y), "motor": sj.RotationDriver(PAIR, Y, sj.Linear(20.0))}
+    joints = {"pivot": sj.Revolute(PAIR, "arm.pin", Y), "motor": sj.RotationDriver(PAIR, Y, sj.functions.Linear(20.0))}
     scene = sj.Scene({"arm": arm()}, joints)
     run = sj.simulate(scene, cases.times(1.0, 5), rtol=1e-8, solver=DOPRI8).require_success()
     assert np.asarray(run.velocity_violation).max() < 1e-5
@@ -134,7 +137,7 @@ def test_baumgarte_holds_a_driven_motion():
 
 def crank_and_rod(speed=30.0, stiffness=2e5):
     """A motor turns a crank; a rod hangs on its pin by a bushing and slides on a plane."""
-    rubber = sj.HingeElastomer.symmetric(
+    rubber = sj.laws.HingeElastomer.symmetric(
         radial_stiffness=stiffness, axial_stiffness=stiffness, conical_stiffness=50.0, damping=1e-4
     )
     points = {"pin": (-0.1, 0, 0), "eye": (0.1, 0, 0)}
@@ -146,7 +149,7 @@ def crank_and_rod(speed=30.0, stiffness=2e5):
         "shaft": sj.Revolute(("ground", "crank"), (0.0, 0.0, 0.0), Y),
         "motor": sj.RotationDriver(("ground", "crank"), Y, Spin(speed, 0.2)),
         "pin": sj.Revolute(("crank", "rod"), "crank.pin", Y, sj.Bushing(law=rubber)),
-        "table": sj.PointOnPlane("rod.eye", (0.0, 0.0, 0.0), Z),
+        "table": sj.joints.PointOnPlane("rod.eye", (0.0, 0.0, 0.0), Z),
     }
     return sj.Scene(bodies, joints)
 
@@ -162,7 +165,7 @@ def reference():
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("solver", "rtol", "agreement"),
-    [(sj.Rodas5P(), 1e-8, 1e-7), pytest.param(sj.Ros34PW2(), 1e-6, 1e-5, marks=pytest.mark.slow)],
+    [(sj.solvers.Rodas5P(), 1e-8, 1e-7), pytest.param(sj.solvers.Ros34PW2(), 1e-6, 1e-5, marks=pytest.mark.slow)],
     ids=["Rodas5P", "Ros34PW2"],
 )
 def test_methods_agree_on_a_driven_mechanism_with_a_bushing(reference, solver, rtol, agreement):
@@ -220,7 +223,7 @@ def test_lanes_with_different_drivers(reference):
 def test_a_jack_beyond_its_reach_stops_with_a_diagnosis():
     joints = {
         "pivot": sj.Revolute(PAIR, "arm.pin", Y),
-        "jack": sj.DistanceDriver("ground.peg", "arm.end", lambda t: 0.78 + 1.0 * t),
+        "jack": sj.joints.DistanceDriver("ground.peg", "arm.end", lambda t: 0.78 + 1.0 * t),
         "idle": sj.Spherical("arm.end", "weight.end"),
     }
     weight = sj.Body(0.1, (1e-4, 1e-4, 1e-4), position=(0.5, 0.0, -0.1), points={"end": (0.0, 0.0, 0.1)})
@@ -234,29 +237,45 @@ def test_a_jack_beyond_its_reach_stops_with_a_diagnosis():
     assert run.constraints.rank == 9
 
 
-ROD = {"rod": sj.Distance("ground.peg", "arm.end")}
+ROD = {"rod": sj.joints.Distance("ground.peg", "arm.end")}
 REFUSED = {
     "no function": (lambda: sj.RotationDriver(PAIR, Y, 3.0), "angle = 3.0", "function of time"),
-    "wrong shape": (lambda: sj.PositionDriver("arm.end", jnp.sin), "position(t).shape", "(3,)"),
+    "wrong shape": (lambda: sj.joints.PositionDriver("arm.end", jnp.sin), "position(t).shape", "(3,)"),
     "not in jnp": (lambda: sj.RotationDriver(PAIR, Y, lambda t: float(t)), "angle", "jax.numpy"),
     "a number that is none": (lambda: sj.RotationDriver(PAIR, Y, Spin(np.nan, 0.0)), "angle", "finite"),
     "a name among numbers": (lambda: sj.RotationDriver(PAIR, Y, Spin("fast", 0.0)), "angle", "static"),
     "no axis": (lambda: sj.TranslationDriver(PAIR, (0, 0, 0), (0, 0, 0), jnp.sin), "axis", "direction"),
     "negative length": (
-        lambda: sj.DistanceDriver("ground.peg", "arm.end", lambda t: t - 1.0),
+        lambda: sj.joints.DistanceDriver("ground.peg", "arm.end", lambda t: t - 1.0),
         "length(0) = -1",
         "positive",
     ),
-    "rod without length": (lambda: sj.Distance("arm.end", "ground.end"), "'arm.end'", "coincide", "length="),
-    "rod of length zero": (lambda: sj.Distance("ground.peg", "arm.end", 0.0), "length = 0", "positive"),
+    "rod without length": (lambda: sj.joints.Distance("arm.end", "ground.end"), "'arm.end'", "coincide", "length="),
+    "rod of length zero": (lambda: sj.joints.Distance("ground.peg", "arm.end", 0.0), "length = 0", "positive"),
     "skew cross": (lambda: sj.Universal(PAIR, (0, 0, 0), Y, (0.0, 1.0, 1.0)), "second_axis", "perpendicular"),
-    "no normal": (lambda: sj.PointOnPlane("arm.end", (0, 0, 0), (0, 0, 0)), "normal", "direction"),
-    "no radius": (lambda: sj.PointOnCurve("arm.end", sj.Circle((0, 0, 0), Y, -1.0)), "radius = -1", "positive"),
-    "no curve": (lambda: sj.PointOnCurve("arm.end", Y), "curve", "ImplicitCurve"),
-    "one function": (lambda: sj.PointOnCurve("arm.end", sj.ImplicitCurve(lambda x: x[:1])), "(2,)", "two functions"),
+    "no normal": (lambda: sj.joints.PointOnPlane("arm.end", (0, 0, 0), (0, 0, 0)), "normal", "direction"),
+    "no radius": (
+        lambda: sj.joints.PointOnCurve("arm.end", sj.joints.Circle((0, 0, 0), Y, -1.0)),
+        "radius = -1",
+        "positive",
+    ),
+    "no curve": (lambda: sj.joints.PointOnCurve("arm.end", Y), "curve", "ImplicitCurve"),
+    "one function": (
+        lambda: sj.joints.PointOnCurve("arm.end", sj.joints.ImplicitCurve(lambda x: x[:1])),
+        "(2,)",
+        "two functions",
+    ),
     "unknown point": (lambda: sj.Cylindrical(PAIR, "arm.tip", Y), "'tip'", "'end'"),
-    "unknown body of a plane": (lambda: sj.PointOnPlane("arm.end", (0, 0, 0), Y, body="wall"), "'wall'", "'arm'"),
-    "plane on the same body": (lambda: sj.PointOnPlane("arm.end", (0, 0, 0), Y, body="arm"), "itself", "two different"),
+    "unknown body of a plane": (
+        lambda: sj.joints.PointOnPlane("arm.end", (0, 0, 0), Y, body="wall"),
+        "'wall'",
+        "'arm'",
+    ),
+    "plane on the same body": (
+        lambda: sj.joints.PointOnPlane("arm.end", (0, 0, 0), Y, body="arm"),
+        "itself",
+        "two different",
+    ),
 }
 
 
@@ -265,7 +284,7 @@ def test_bad_joints_are_refused(name):
     build, *words = REFUSED[name]
     pegs = {"peg": (0.0, 0.0, 0.6), "end": (0.5, 0.0, 0.0)}
     with pytest.raises(sj.SceneError) as error:
-        sj.compile_scene(sj.Scene({"arm": arm()}, {"bad": build()}, ground_points=pegs))
+        sj.equations.compile_scene(sj.Scene({"arm": arm()}, {"bad": build()}, ground_points=pegs))
     for word in words:
         assert word in str(error.value)
 
@@ -280,5 +299,5 @@ def test_force_elements_connect_bodies():
     joints = {"pivot": sj.Revolute(PAIR, "arm.pin", Y)}
     bodies = {"arm": arm(), "kite": arm()}
     with pytest.raises(sj.SceneError, match=r"'kite' is joined to nothing.*add a joint"):
-        sj.compile_scene(sj.Scene(bodies, joints))
-    sj.compile_scene(sj.Scene(bodies, joints, {"wind": sj.AppliedWrench("kite", (1.0, 0.0, 0.0))}))
+        sj.equations.compile_scene(sj.Scene(bodies, joints))
+    sj.equations.compile_scene(sj.Scene(bodies, joints, {"wind": sj.AppliedWrench("kite", (1.0, 0.0, 0.0))}))

@@ -14,7 +14,7 @@ from spherejax.motion.equations.programs import program_for
 
 
 def program_of(scene):
-    system = sj.compile_scene(scene).system
+    system = sj.equations.compile_scene(scene).system
     structure, theta = flatten_system(system)
     return system, program_for(state_rate, structure), theta
 
@@ -85,7 +85,7 @@ def test_states_and_rows_are_those_of_the_effects(name, n_memory, n_constraints)
     )
     assert system.layout.size == 39 + n_memory + system.layout.n_work
     assert system.n_constraints == n_constraints
-    tracked = sj.compile_scene(sj.gallery.four_bar(cases.MODELS[name]), track_work=True).system
+    tracked = sj.equations.compile_scene(sj.gallery.four_bar(cases.MODELS[name]), track_work=True).system
     assert tracked.layout.size - system.layout.size == (0 if name == "ideal" else 1)
 
 
@@ -111,7 +111,7 @@ def test_bushing_that_turns_freely_has_no_rotation_operation():
 # Effects that exist but are not used ---------------------------------------------------------------------------------
 
 
-class NewFriction(sj.AbstractStaticFriction):
+class NewFriction(sj.laws.AbstractStaticFriction):
     """A law that some program defines, and no scene uses."""
 
     mu: float = 0.1

@@ -52,7 +52,7 @@ def test_a_driver_puts_in_what_the_bodies_have():
     wheel = sj.Body(1.0, (0.5, 0.5, 0.5))
     joints = {
         "axle": sj.Revolute(("ground", "wheel"), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)),
-        "drive": sj.RotationDriver(("ground", "wheel"), (0.0, 0.0, 1.0), sj.Polynomial([0.0, 0.0, 1.5])),
+        "drive": sj.RotationDriver(("ground", "wheel"), (0.0, 0.0, 1.0), sj.functions.Polynomial([0.0, 0.0, 1.5])),
     }
     found = sj.simulate(sj.Scene({"wheel": wheel}, joints), np.linspace(0.0, 1.0, 3)).energy_by_part
     assert float(found.put_in["drive"][-1]) == pytest.approx(0.5 * 0.5 * 3.0**2, rel=1e-6)

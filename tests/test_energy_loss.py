@@ -78,12 +78,12 @@ def test_a_scene_passes_singular_positions_by_default(damping):
 
 @pytest.mark.parametrize("damping", [0.0, 0.02])
 def test_energy_that_vanishes_ends_the_run_and_names_joints_and_remedy(damping):
-    scene = slider_crank(damping, sj.Baumgarte())
+    scene = slider_crank(damping, sj.solvers.Baumgarte())
     with pytest.warns(sj.SimulationWarning, match="energy vanished that no part took"):
         run = sj.simulate(scene, TIMES)
     text = failed(run)
     assert "There the equations of joints 'guide', 'main', 'pin', 'wrist' depend on each other" in text
-    assert "To pass it, give the scene drift=sj.PostStabilization()" in text
+    assert "To pass it, give the scene drift=sj.solvers.PostStabilization()" in text
     # It was noticed before a hundredth was lost.
     lost = 1 - np.asarray(run.kinetic_energy) / np.asarray(run.kinetic_energy)[0]
     if not damping:
@@ -93,7 +93,7 @@ def test_energy_that_vanishes_ends_the_run_and_names_joints_and_remedy(damping):
 
 
 def with_feedback(speed):
-    return slider_crank(drift=sj.Baumgarte(), speed=speed)
+    return slider_crank(drift=sj.solvers.Baumgarte(), speed=speed)
 
 
 SPEEDS = jnp.array([7.0, 8.0])
@@ -119,17 +119,17 @@ def test_many_runs_say_the_same(way):
 def test_a_sweep_says_what_to_do():
     swept = sj.sweep(with_feedback, {"speed": [7.0, 8.0]}, TIMES, record=["final position.slide"], progress=False)
     assert sj.Status.AUDIT_FAILED in swept["status"].values.tolist()
-    assert "sj.PostStabilization() where the mechanism passes singular positions" in swept.attrs["failures"]
+    assert "sj.solvers.PostStabilization() where the mechanism passes singular positions" in swept.attrs["failures"]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("solver", [sj.Rodas5P(), diffrax.Kvaerno5()], ids=["Rodas5P", "diffrax"])
+@pytest.mark.parametrize("solver", [sj.solvers.Rodas5P(), diffrax.Kvaerno5()], ids=["Rodas5P", "diffrax"])
 @pytest.mark.parametrize("damping", [0.0, 0.02])
 @pytest.mark.filterwarnings("ignore:.*energy vanished:spherejax.SimulationWarning")
 def test_other_methods_and_the_integrator_of_diffrax_notice_it(solver, damping):
-    run = sj.simulate(slider_crank(damping, sj.Baumgarte()), TIMES, solver=solver, rtol=1e-6)
+    run = sj.simulate(slider_crank(damping, sj.solvers.Baumgarte()), TIMES, solver=solver, rtol=1e-6)
     # Rounding decides how much is lost: with Kvaerno5 a machine may pass all singular positions, and then nothing is.
-    if run.succeeded and not isinstance(solver, sj.Rodas5P):
+    if run.succeeded and not isinstance(solver, sj.solvers.Rodas5P):
         assert float(run.stats.audit[LOSS]) < 1
         assert damping or float(run.kinetic_energy[-1]) == pytest.approx(float(run.kinetic_energy[0]), rel=1e-3)
     else:
@@ -138,7 +138,7 @@ def test_other_methods_and_the_integrator_of_diffrax_notice_it(solver, damping):
     assert float(run.stats.audit[LOSS]) < 0.3
 
 
-class Drag(sj.AbstractForce):
+class Drag(sj.forces.AbstractForce):
     """Brakes a body."""
 
     strength: float
@@ -154,7 +154,7 @@ class Drag(sj.AbstractForce):
         return ("ball",)
 
     def wrenches(self, t, motions):
-        return {"ball": sj.Wrench(-self.strength * motions["ball"].velocity, jnp.zeros(3))}
+        return {"ball": sj.forces.Wrench(-self.strength * motions["ball"].velocity, jnp.zeros(3))}
 
 
 class HonestDrag(Drag):
@@ -179,31 +179,33 @@ ENDS = ("ground", "ball")
     [
         (sj.SpringDamper(ENDS, 100.0), True),
         (sj.SpringDamper(ENDS, 100.0, 1.0), False),
-        (sj.SpringDamper(ENDS, 100.0, damper=sj.Linear(1.0)), True),  # its work is integrated
+        (sj.SpringDamper(ENDS, 100.0, damper=sj.functions.Linear(1.0)), True),  # its work is integrated
         (sj.TorsionalSpring(ENDS, AXIS, 1.0), True),
         (sj.TorsionalSpring(ENDS, AXIS, 1.0, 0.1), False),
-        (sj.BumpStop(ENDS, longest=1.0, stiffness=100.0), True),
-        (sj.BumpStop(ENDS, longest=1.0, stiffness=100.0, damping=1.0, onset=1e-3), False),
-        (sj.BumpStop(ENDS, longest=1.0, stiffness=100.0, restitution=1.0), True),
-        (sj.BumpStop(ENDS, longest=1.0, stiffness=100.0, restitution=0.9), False),
-        (sj.TorsionalStop(ENDS, AXIS, -1.0, 1.0, 100.0), True),
-        (sj.TorsionalStop(ENDS, AXIS, -1.0, 1.0, 100.0, restitution=0.9), False),
-        (sj.TorsionalStop(ENDS, AXIS, -1.0, 1.0, 100.0, 1.0, 1e-3), False),
-        (sj.Tyre("ball", 0.3, 1e4), True),
-        (sj.Tyre("ball", 0.3, 1e4, 10.0, 1e-3), False),
+        (sj.forces.BumpStop(ENDS, longest=1.0, stiffness=100.0), True),
+        (sj.forces.BumpStop(ENDS, longest=1.0, stiffness=100.0, damping=1.0, onset=1e-3), False),
+        (sj.forces.BumpStop(ENDS, longest=1.0, stiffness=100.0, restitution=1.0), True),
+        (sj.forces.BumpStop(ENDS, longest=1.0, stiffness=100.0, restitution=0.9), False),
+        (sj.forces.TorsionalStop(ENDS, AXIS, -1.0, 1.0, 100.0), True),
+        (sj.forces.TorsionalStop(ENDS, AXIS, -1.0, 1.0, 100.0, restitution=0.9), False),
+        (sj.forces.TorsionalStop(ENDS, AXIS, -1.0, 1.0, 100.0, 1.0, 1e-3), False),
+        (sj.forces.Tyre("ball", 0.3, 1e4), True),
+        (sj.forces.Tyre("ball", 0.3, 1e4, 10.0, 1e-3), False),
         (HonestDrag(0.01), False),
     ],
 )
 def test_which_forces_conserve_energy(force, conserves):
     scene = sj.Scene({"ball": sj.Body(1.0, (1.0, 1.0, 1.0), (0.0, 0.0, 0.4))}, forces={"one": force})
-    assert sj.compile_scene(scene).system.conserves_energy == conserves
+    assert sj.equations.compile_scene(scene).system.conserves_energy == conserves
 
 
 def test_a_damping_that_is_traced_may_be_any():
     def conserves(damping):
         ball = sj.Body(1.0, (1.0, 1.0, 1.0), (0.0, 0.0, 0.4))
         force = sj.SpringDamper(ENDS, 100.0, damping)
-        return jnp.asarray(sj.compile_scene(sj.Scene({"ball": ball}, forces={"one": force})).system.conserves_energy)
+        return jnp.asarray(
+            sj.equations.compile_scene(sj.Scene({"ball": ball}, forces={"one": force})).system.conserves_energy
+        )
 
     assert not jax.jit(conserves)(0.0)
 

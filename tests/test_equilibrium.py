@@ -17,7 +17,7 @@ from spherejax.motion.start.start_now import start_now
 def hanging(stiffness, x=0.0, starts_concentric=False, **options):
     """2 kg on a bushing."""
     body = sj.Body(2.0, (1e-2,) * 3, position=(x, 0.0, 0.0), points={"ball": (0.0, 0.0, 0.0)})
-    model = sj.Bushing(law=sj.VectorElastomer(stiffness, 1e-3))
+    model = sj.Bushing(law=sj.laws.VectorElastomer(stiffness, 1e-3))
     joint = sj.Spherical("ground.socket", "body.ball", model, starts_concentric)
     return sj.Scene({"body": body}, {"joint": joint}, ground_points={"socket": (0.0, 0.0, 0.0)}, **options)
 
@@ -90,10 +90,10 @@ def test_a_ball_in_a_clearance_has_no_place():
 
 Y, Z = (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 RUBBER = {"radial_stiffness": 4e3, "axial_stiffness": 3e3, "damping": 1e-3}
-SIX = sj.Bushing(law=sj.MatrixElastomer.cylindrical(Y, **RUBBER, conical_stiffness=80.0, torsional_stiffness=40.0))
-HINGE = sj.Bushing(law=sj.HingeElastomer.symmetric(**RUBBER, conical_stiffness=80.0))
-SLIDING = sj.Bushing(law=sj.HingeElastomer.symmetric(**{**RUBBER, "axial_stiffness": 0.0}, conical_stiffness=80.0))
-CROSS = sj.Bushing(law=sj.CrossElastomer(4e3 * np.eye(3), 4.0 * np.eye(3), 80.0))
+SIX = sj.Bushing(law=sj.laws.MatrixElastomer.cylindrical(Y, **RUBBER, conical_stiffness=80.0, torsional_stiffness=40.0))
+HINGE = sj.Bushing(law=sj.laws.HingeElastomer.symmetric(**RUBBER, conical_stiffness=80.0))
+SLIDING = sj.Bushing(law=sj.laws.HingeElastomer.symmetric(**{**RUBBER, "axial_stiffness": 0.0}, conical_stiffness=80.0))
+CROSS = sj.Bushing(law=sj.laws.CrossElastomer(4e3 * np.eye(3), 4.0 * np.eye(3), 80.0))
 PAIR, AT = ("ground", "body"), (0.0, 0.0, 0.0)
 LOADED = {
     "mount": lambda: sj.Spherical("ground.pivot", "body.pivot", SIX),
@@ -119,7 +119,7 @@ def loaded(joint):
 
 def accelerations(scene):
     """With which a run of the scene begins."""
-    system = sj.compile_scene(scene).system
+    system = sj.equations.compile_scene(scene).system
     start = start_now(system, np.zeros(1))
     assert start is not None
     y = initial_state(system, start)

@@ -33,7 +33,7 @@ def warm():
 
 
 def test_a_memory_that_nothing_asks_changes_nothing(warm):
-    plain = run_of(sj.FullFilm(), rtol=1e-9)
+    plain = run_of(sj.laws.FullFilm(), rtol=1e-9)
     np.testing.assert_allclose(warm.position("ball"), plain.position("ball"), atol=1e-11)
 
 
@@ -59,7 +59,7 @@ def test_contacts_leave_it_alone():
     """A heavy ball squeezes the oil out and strikes: the onset's memory begins anew, the film's goes on."""
     body = sj.Body(2.0, (1e-3, 1e-3, 1e-3), velocity=(0.0, 0.0, -1.0), points={"ball": (0.0, 0.0, 0.0)})
     thin = sj.Lubricated(
-        1e-4, 1e-4, film=my_laws.WarmingFilm(1e-6), friction=sj.LuGre(), conformity=sj.SphericalProfile()
+        1e-4, 1e-4, film=my_laws.WarmingFilm(1e-6), friction=sj.LuGre(), conformity=sj.laws.SphericalProfile()
     )
     joint = sj.Spherical("ground.socket", "bob.ball", thin, starts_concentric=False)
     scene = sj.Scene({"bob": body}, {"joint": joint}, ground_points={"socket": (0.0, 0.0, 0.0)})

@@ -63,7 +63,7 @@ def test_says_that_the_data_cannot_determine_a_stiff_bushing():
 def test_a_wrong_minimum_is_avoided_and_otherwise_told(measured):
     """Out of step with the measured vibration, the whole record has a minimum at a softer bushing without damping."""
     start = {"stiffness": 0.1 * STIFFNESS, "damping": 0.1 * DAMPING}
-    whole = sj.fit(bushing_four_bar, start, measured, noise=NOISE, horizon=sj.Whole())
+    whole = sj.fit(bushing_four_bar, start, measured, noise=NOISE, horizon=sj.studies.Whole())
     assert whole.estimates["stiffness"] < 0.2 * STIFFNESS
     assert any("times as large as the stated noise" in warning for warning in whole.warnings)
     assert any("not white" in warning for warning in whole.warnings)

@@ -181,7 +181,7 @@ def test_functions_must_give_a_row_for_each_sample():
 
 def test_an_optimiser_that_is_none_is_refused():
     with pytest.raises(sj.SceneError, match="needs an optimiser of optax"):
-        sj.Descent("adam")
+        sj.studies.Descent("adam")
 
 
 # On the command line -------------------------------------------------------------------------------------------------
@@ -313,7 +313,7 @@ def test_traced_times_and_values_are_refused_with_what_to_do():
         sj.Measured(INSTANTS, {SENSOR: factor * np.ones(len(INSTANTS))})
 
     for transform in (jax.grad, jax.jit):
-        with pytest.raises(sj.SceneError, match=r"instants .* traced.*clock offset.*sj\.Sensor.*sj\.simulate"):
+        with pytest.raises(sj.SceneError, match=r"instants .* traced.*clock offset.*sj\.studies\.Sensor.*sj\.simulate"):
             transform(late)(0.01)
         with pytest.raises(sj.SceneError, match=f"{SENSOR!r} are traced"):
             transform(scaled)(2.0)

@@ -14,7 +14,7 @@ from spherejax.studies.fit.losses import rooted
 
 X = "position.ball.x"
 TRUTH = {"stiffness": SPRING, "damping": DAMPER}
-LOSSES = {"huber": (sj.Huber(1.5), 1.5), "cauchy": (sj.Cauchy(2.0), 2.0)}
+LOSSES = {"huber": (sj.studies.Huber(1.5), 1.5), "cauchy": (sj.studies.Cauchy(2.0), 2.0)}
 
 
 def with_outliers(seed=0, share=0.1, ts=INSTANTS):
@@ -29,7 +29,9 @@ def with_outliers(seed=0, share=0.1, ts=INSTANTS):
 def test_estimates_are_those_of_scipys_loss_on_the_closed_form(name):
     loss, scale = LOSSES[name]
     data = with_outliers()
-    fitted = sj.fit(oscillator, START, data, noise=SENSOR, loss=loss, method=sj.LevenbergMarquardt(tolerance=1e-4))
+    fitted = sj.fit(
+        oscillator, START, data, noise=SENSOR, loss=loss, method=sj.studies.LevenbergMarquardt(tolerance=1e-4)
+    )
     plain = sj.fit(oscillator, START, data, noise=SENSOR)
 
     def residuals(p):
@@ -65,7 +67,7 @@ def test_a_loss_is_what_its_functions_say(name):
 @pytest.mark.slow
 def test_gradients_in_reverse_are_those_of_the_loss():
     data = sj.Measured(INSTANTS, {X: with_outliers()[X]})
-    problem = problem_of(oscillator, START, [data], SENSOR, loss=sj.Cauchy())
+    problem = problem_of(oscillator, START, [data], SENSOR, loss=sj.studies.Cauchy())
     u = problem.u0 + 0.1
     residuals, jacobian = problem.residuals_and_jacobian(u)
     reverse = problem.cost_and_gradient(u)
@@ -76,7 +78,7 @@ def test_gradients_in_reverse_are_those_of_the_loss():
 
 
 def test_noise_is_estimated_without_the_outliers():
-    fitted = sj.fit(oscillator, START, with_outliers(), loss=sj.Huber())
+    fitted = sj.fit(oscillator, START, with_outliers(), loss=sj.studies.Huber())
     assert fitted.noise[0][0, 0] == pytest.approx(SENSOR, rel=0.35)
     plain = sj.fit(oscillator, START, with_outliers())
     assert plain.noise[0][0, 0] > 5 * SENSOR
@@ -86,13 +88,13 @@ def test_noise_is_estimated_without_the_outliers():
 
 
 def test_what_is_no_loss_is_refused():
-    for wrong in ("huber", sj.Huber, 1.5):
-        with pytest.raises(sj.SceneError, match=r"loss must be sj\.Huber\(\)"):
+    for wrong in ("huber", sj.studies.Huber, 1.5):
+        with pytest.raises(sj.SceneError, match=r"loss must be sj\.studies\.Huber\(\)"):
             sj.fit(oscillator, START, seen(), noise=SENSOR, loss=wrong)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("loss", [sj.Huber(), sj.Cauchy()])
+@pytest.mark.parametrize("loss", [sj.studies.Huber(), sj.studies.Cauchy()])
 def test_intervals_cover_the_truth_where_one_reading_in_ten_is_wrong(loss):
     """Errors of ten times the noise to both sides: without bias, and no formula of normal errors holds."""
     n, covered = 200, np.zeros(2)
@@ -109,10 +111,10 @@ def test_intervals_cover_the_truth_where_one_reading_in_ten_is_wrong(loss):
 
 @pytest.mark.slow
 def test_descent_finds_the_same_with_a_loss():
-    fitted = sj.fit(oscillator, TRUTH, with_outliers(), noise=SENSOR, loss=sj.Huber())
+    fitted = sj.fit(oscillator, TRUTH, with_outliers(), noise=SENSOR, loss=sj.studies.Huber())
     by_descent = sj.fit(
-        oscillator, TRUTH, with_outliers(), noise=SENSOR, loss=sj.Huber(), horizon=Whole(),
-        method=sj.Descent(optax.adam(1e-3), n_steps=300, reverse=True),
+        oscillator, TRUTH, with_outliers(), noise=SENSOR, loss=sj.studies.Huber(), horizon=Whole(),
+        method=sj.studies.Descent(optax.adam(1e-3), n_steps=300, reverse=True),
     )  # fmt: skip
     for name in TRUTH:
         assert by_descent.estimates[name] == pytest.approx(

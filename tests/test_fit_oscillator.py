@@ -248,7 +248,7 @@ def test_arrays_are_fitted_number_by_number(fitted):
 def test_descent_finds_the_same(fitted):
     found = sj.fit(
         oscillator, TRUTH | {"damping": 2.0}, seen(), noise=SENSOR,
-        method=sj.Descent(optax.adam(2e-2), n_steps=400), horizon=Whole(),
+        method=sj.studies.Descent(optax.adam(2e-2), n_steps=400), horizon=Whole(),
     )  # fmt: skip
     assert found.status == Ending.CONVERGED.value
     for name in TRUTH:
@@ -300,7 +300,7 @@ def test_descent_takes_back_a_step_whose_gradient_is_lost(problem):
                 return found
             return found._replace(gradient=np.full(u.size, np.nan), diagnosis="lost")
 
-    method = sj.Descent(optax.adam(2e-2), n_steps=5, reverse=True)
+    method = sj.studies.Descent(optax.adam(2e-2), n_steps=5, reverse=True)
     (course,) = method.minimize(Losing(), problem.u0[None], noise_is_known=True)
     assert course.n_failed > 0
     assert course.diagnosis == "lost"
@@ -397,7 +397,7 @@ class LeadsAstray:
             return [Course([np.array([25.0, 0.0])], [1.0], [np.inf], ending=Ending.CONVERGED, n_iterations=1)]
         if us[0][0] > 20:
             return [Course(ending=Ending.FAILED_START, n_iterations=1, n_failed=1, diagnosis="too stiff")]
-        return sj.LevenbergMarquardt().minimize(problem, us, noise_is_known=noise_is_known, watch=watch)
+        return sj.studies.LevenbergMarquardt().minimize(problem, us, noise_is_known=noise_is_known, watch=watch)
 
 
 def test_progress_is_told():
@@ -459,7 +459,7 @@ def test_no_fit_ends_worse_than_it_began(problem):
 
     def minimize(us):
         begun.append(us)
-        return sj.LevenbergMarquardt().minimize(problem, us, noise_is_known=True, watch=lambda courses: None)
+        return sj.studies.LevenbergMarquardt().minimize(problem, us, noise_is_known=True, watch=lambda courses: None)
 
     (found,) = no_worse_than_starts(problem, [astray], start[None], minimize)
     np.testing.assert_array_equal(begun, [start[None]])

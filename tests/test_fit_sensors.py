@@ -19,7 +19,7 @@ START = {
     "late": sj.Parameter(0.0, scale=0.01, upper=0.09), "smooth": 0.15,
 }  # fmt: skip
 VOLT = 3e-3  # standard deviation of the readings [V]
-SENSOR = sj.Sensor(X, gain="gain", bias="bias", delay="late", filter=sj.LowPass("smooth"), unit="V")
+SENSOR = sj.studies.Sensor(X, gain="gain", bias="bias", delay="late", filter=sj.studies.LowPass("smooth"), unit="V")
 
 
 def filtered(ts, stiffness=SPRING, damping=DAMPER, smooth=0.1, first=None):
@@ -116,7 +116,7 @@ def test_a_clock_offset_between_two_channels_is_a_parameter():
     early, late = oscillation(TS), oscillation(TS + 0.013)
     noise = 1e-5 * np.random.default_rng(2).normal(size=(2, TS.size))
     values = {"camera": early + noise[0], "encoder": late + noise[1]}
-    sensors = {"camera": sj.Sensor(X), "encoder": sj.Sensor(X, delay=lambda p: -p["offset"])}
+    sensors = {"camera": sj.studies.Sensor(X), "encoder": sj.studies.Sensor(X, delay=lambda p: -p["offset"])}
     measured = sj.Measured(TS, values, sensors=sensors)
     start = {"stiffness": 180.0, "damping": 1.0, "offset": sj.Parameter(0.0, scale=0.01)}
     fitted = sj.fit(oscillator, start, measured, noise=1e-5)
@@ -131,9 +131,9 @@ def test_filters_that_begin_empty_and_differentiators():
     smooth = 0.1
     rate = (oscillation(TS) - filtered(TS)) / smooth
     sensors = {
-        "empty": sj.Sensor(X, filter=sj.LowPass(smooth, settled=False)),
-        "speed": sj.Sensor(X, filter=sj.Differentiator(smooth)),
-        "ball": sj.Sensor("position.ball", gain=(1.0, 2.0, 2.0), bias=(0.0, 0.1, 0.2)),
+        "empty": sj.studies.Sensor(X, filter=sj.studies.LowPass(smooth, settled=False)),
+        "speed": sj.studies.Sensor(X, filter=sj.studies.Differentiator(smooth)),
+        "ball": sj.studies.Sensor("position.ball", gain=(1.0, 2.0, 2.0), bias=(0.0, 0.1, 0.2)),
     }
     vector = np.stack([oscillation(TS), np.full(TS.size, 0.1), np.full(TS.size, 0.2)], 1)
     values = {"empty": filtered(TS, first=0.0), "speed": rate, "ball": vector}
@@ -148,7 +148,7 @@ def test_sensors_alone_can_be_fitted():
         return oscillator(SPRING, DAMPER)
 
     start = {"gain": 1.0, "bias": sj.Parameter(0.0, scale=0.1), "late": 0.02}
-    sensor = sj.Sensor(X, gain="gain", bias="bias", delay="late", filter=sj.LowPass(0.1))
+    sensor = sj.studies.Sensor(X, gain="gain", bias="bias", delay="late", filter=sj.studies.LowPass(0.1))
     measured = sj.Measured(TS, {"volts": volts()}, sensors={"volts": sensor})
     fitted = sj.fit(known, start, measured, noise=VOLT, horizon=Whole())
     for name in start:
@@ -162,7 +162,7 @@ def test_sensors_alone_can_be_fitted():
 def test_a_coarse_filter_is_told():
     sparse = np.linspace(0.2, 2.0, 10)
     start = {"stiffness": SPRING, "damping": DAMPER}
-    sensor = sj.Sensor(filter=sj.LowPass(0.1, substeps=1))
+    sensor = sj.studies.Sensor(filter=sj.studies.LowPass(0.1, substeps=1))
     fitted = sj.fit(
         oscillator, start, {"time": sparse, X: filtered(sparse)}, noise=1e-4, sensors={X: sensor}, horizon=Whole()
     )
@@ -203,19 +203,20 @@ def test_experiments_of_the_same_name_are_told_apart():
     assert [one.measured.name for one in problem.experiments] == ["a", "a (2)"]
 
 
+Sensor, LowPass = sj.studies.Sensor, sj.studies.LowPass
 KNOWN = {"stiffness": SPRING, "damping": DAMPER}
 REFUSED = {
-    "before the start": (KNOWN, {X: sj.Sensor(delay=0.2)}, {}, "a delay of 0.2 s of 'position.ball.x' asks for"),
-    "no parameter": (KNOWN, {X: sj.Sensor(gain="gian")}, {}, "gain of the sensor of .* is the parameter 'gian'"),
-    "no channel": (KNOWN, {"y": sj.Sensor()}, {}, r"sensors=\['y'\] have no measured values"),
-    "no sensor": (KNOWN, {X: 2.0}, {}, "sensors must be a dict of sj.Sensor"),
-    "components": (KNOWN, {X: sj.Sensor(gain=(1.0, 2.0))}, {}, "has 2 numbers; it must be one, or one for each of"),
-    "unknown": (KNOWN, {X: sj.Sensor("position.bal.x")}, {}, "belongs to a body.*one of 'ball'"),
+    "before the start": (KNOWN, {X: Sensor(delay=0.2)}, {}, "a delay of 0.2 s of 'position.ball.x' asks for"),
+    "no parameter": (KNOWN, {X: Sensor(gain="gian")}, {}, "gain of the sensor of .* is the parameter 'gian'"),
+    "no channel": (KNOWN, {"y": Sensor()}, {}, r"sensors=\['y'\] have no measured values"),
+    "no sensor": (KNOWN, {X: 2.0}, {}, "sensors must be a dict of sj.studies.Sensor"),
+    "components": (KNOWN, {X: Sensor(gain=(1.0, 2.0))}, {}, "has 2 numbers; it must be one, or one for each of"),
+    "unknown": (KNOWN, {X: Sensor("position.bal.x")}, {}, "belongs to a body.*one of 'ball'"),
     "not used": ({**KNOWN, "color": 1.0}, {}, {}, "no builder and no sensor takes the parameter 'color'"),
     "own not used": (KNOWN, {}, {"own": {"color": 1.0}}, "nor a sensor takes its parameter 'color'"),
     "own and common": (KNOWN, {}, {"own": {"damping": 1.0}}, "is a parameter of all experiments .* and one that"),
     "negative filter": (
-        {**KNOWN, "T": -1.0}, {X: sj.Sensor(filter=sj.LowPass("T"))}, {}, "time constant of the filter of .* posit"
+        {**KNOWN, "T": -1.0}, {X: Sensor(filter=LowPass("T"))}, {}, "time constant of the filter of .* posit"
     ),
 }  # fmt: skip
 
@@ -229,14 +230,14 @@ def test_what_makes_no_sense_is_refused(start, sensors, options, message):
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: sj.Sensor(gain=0.0), "gain = 0 shows nothing"),
-        (lambda: sj.Sensor(delay=[0.1, 0.2]), "delay must be a finite number, the name"),
-        (lambda: sj.Sensor(bias=np.nan), "bias must be a finite number"),
-        (lambda: sj.Sensor(filter=0.1), r"filter must be sj\.LowPass"),
-        (lambda: sj.LowPass(0.0), "time_constant = 0 s must be positive"),
-        (lambda: sj.LowPass(0.1, substeps=0), "substeps = 0 must be a whole number"),
-        (lambda: sj.Sensor(2.0), "of = 2.0 must be the name of an observable"),
-        (lambda: jax.jit(lambda x: sj.Sensor(gain=x))(1.0), "gain is traced"),
+        (lambda: sj.studies.Sensor(gain=0.0), "gain = 0 shows nothing"),
+        (lambda: sj.studies.Sensor(delay=[0.1, 0.2]), "delay must be a finite number, the name"),
+        (lambda: sj.studies.Sensor(bias=np.nan), "bias must be a finite number"),
+        (lambda: sj.studies.Sensor(filter=0.1), r"filter must be sj\.studies\.LowPass"),
+        (lambda: sj.studies.LowPass(0.0), "time_constant = 0 s must be positive"),
+        (lambda: sj.studies.LowPass(0.1, substeps=0), "substeps = 0 must be a whole number"),
+        (lambda: sj.studies.Sensor(2.0), "of = 2.0 must be the name of an observable"),
+        (lambda: jax.jit(lambda x: sj.studies.Sensor(gain=x))(1.0), "gain is traced"),
     ],
 )
 def test_bad_sensors_are_refused(make, message):
@@ -248,7 +249,7 @@ def test_bad_sensors_are_refused(make, message):
 def test_a_delay_beyond_the_start_is_a_failed_run_with_its_reason_or_held():
     start = {**KNOWN, "late": sj.Parameter(0.0, scale=0.01)}
     for held in (False, True):
-        sensor = sj.Sensor(X, delay="late", held_before_start=held)
+        sensor = sj.studies.Sensor(X, delay="late", held_before_start=held)
         problem = problem_of(oscillator, start, [sj.Measured(TS, {X: oscillation(TS)}, sensors={X: sensor})], 1.0)
         u = problem.unknowns.unknowns_of({**KNOWN, "late": 0.2})
         assert bool(problem.evaluate(u[None]).failed[0]) is not held

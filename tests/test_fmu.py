@@ -167,7 +167,9 @@ def test_co_simulation_reproduces_simulate(ideal):
     np.testing.assert_allclose(found["reaction.pivot.z"], run.reaction("pivot")[:, 2], rtol=0, atol=1e-6)
 
 
-@pytest.mark.parametrize("solver", [sj.Dop853(), pytest.param(diffrax.Tsit5(), marks=pytest.mark.slow)], ids=repr)
+@pytest.mark.parametrize(
+    "solver", [sj.solvers.Dop853(), pytest.param(diffrax.Tsit5(), marks=pytest.mark.slow)], ids=repr
+)
 def test_co_simulation_by_any_explicit_method(tmp_path, solver):
     """Its stages for states inside a step are left out, and its order is the controller's."""
     path = sj.export_fmu(pendulum(), tmp_path / "pendulum.fmu", inputs=PUSH, outputs=OUTPUTS, solver=solver)
@@ -439,7 +441,7 @@ def left_start(opened):
 
 def test_a_start_that_the_joints_change_is_told(tmp_path):
     """At the export, and by each instance: the velocity of a parameter that was set counts."""
-    with pytest.warns(sj.StartWarning, match="violate the constraint"):
+    with pytest.warns(sj.errors.StartWarning, match="violate the constraint"):
         path = sj.export_fmu(hurried(1.0), tmp_path / "hurried.fmu", outputs=["velocity.rod"], parameters="gravity.z")
     told = instance_of(path, tmp_path)
     told.slave.enterInitializationMode(startTime=0.0)
@@ -645,7 +647,7 @@ def test_pieces_are_the_whole():
 
 @pytest.mark.slow
 def test_python_fmu_tells_a_start_that_the_joints_change(tmp_path):
-    with pytest.warns(sj.StartWarning):
+    with pytest.warns(sj.errors.StartWarning):
         path = sj.export_fmu(hurried(1.0), tmp_path / "hurried.fmu", kind="python", outputs=["velocity.rod"])
     opened = started(instance_of(path, tmp_path))
     assert "'pivot' (1 m/s): the velocities given to the bodies violate the constraint" in opened.logged[-1]
@@ -718,7 +720,7 @@ def test_the_command_writes_one(tmp_path, capsys, monkeypatch):
 
 def test_an_element_that_samples_is_refused(tmp_path):
     """It would never sample there."""
-    control = sj.SampledPID(sj.Turn(("ground", "rotor"), (0, 0, 1)), 0.1, 1.0, 0.01)
+    control = sj.forces.SampledPID(sj.Turn(("ground", "rotor"), (0, 0, 1)), 0.1, 1.0, 0.01)
     scene = sj.Scene({"rotor": sj.Body(1.0, (1e-3,) * 3)}, forces={"control": control})
     with pytest.raises(sj.SceneError, match="'control' samples at instants of its own"):
         sj.export_fmu(scene, tmp_path / "rotor.fmu", outputs=["control.effort"])

@@ -87,7 +87,7 @@ def test_slopes_by_state_and_numbers_are_finite(name):
     def of_numbers(numbers, y):
         return answer(jax.tree.unflatten(structure, numbers))(jnp.asarray(TIME), y)["wrenches"]
 
-    slopes = sj.scalarize(
+    slopes = sj.compiler.scalarize(
         lambda numbers, y: jax.jacfwd(of_numbers, (0, 1))(numbers, y),
         [jnp.asarray(number, float) for number in numbers],
         jnp.zeros(26),
@@ -156,10 +156,10 @@ def solved_scene() -> sj.Scene:
         forces={
             "spring": sj.SpringDamper(("ground.a", "swinging"), STIFFNESS, free_length=1.0),
             "spring_damper": sj.SpringDamper(("ground.b", "damped"), STIFFNESS, DAMPING, 1.0),
-            "stop": sj.BumpStop(("ground.c", "falling"), shortest=0.0, stiffness=STOP, direction=vertical),
+            "stop": sj.forces.BumpStop(("ground.c", "falling"), shortest=0.0, stiffness=STOP, direction=vertical),
             "torsion": sj.TorsionalSpring(("ground", "twisting"), (0.0, 3.0, 0.0), TORSION, free_angle=TWIST),
             "suspension": sj.SpringDamper(("wheel", "chassis"), SUSPENSION, 2e3, 0.6),
-            "tyre": sj.Tyre("wheel", RADIUS, TYRE),
+            "tyre": sj.forces.Tyre("wheel", RADIUS, TYRE),
         },
         ground_points={"a": (0.0, 0.0, 0.0), "b": (1.0, 0.0, 0.0), "c": (2.0, 0.0, 0.0)},
     )
@@ -257,7 +257,7 @@ def test_stiffness_is_swept_and_differentiated():
 
 def system_between(stiffness: float, damping: float, mass: float) -> System:
     """A light body on a spring below a heavy one, which hangs from another spring."""
-    return sj.compile_scene(
+    return sj.equations.compile_scene(
         sj.Scene(
             {
                 "heavy": sj.Body(50.0, [1.0] * 3, position=(0.0, 0.0, -1.0)),
@@ -289,7 +289,7 @@ def test_constraints_slow_force_elements_down():
     }
     joints = {"weld": sj.Fixed(("heavy", "light"), (0.0, 0.0, -1.5))}
     forces = {"spring": sj.SpringDamper(("ground", "light"), 2e4, 1e3, 1.5)}
-    system = sj.compile_scene(sj.Scene(bodies, joints, forces)).system
+    system = sj.equations.compile_scene(sj.Scene(bodies, joints, forces)).system
     structure, theta = flatten_system(system)
     free, held = (force_rates(system, structure, np.asarray(theta), constrained) for constrained in (False, True))
     assert free.decay == pytest.approx(1e3 / 1e-3, rel=1e-2)
@@ -301,8 +301,8 @@ def test_constraints_slow_force_elements_down():
     ("stiffness", "damping", "mass", "solver"),
     [
         (1e7, 1e3, 50.0, diffrax.Dopri8),  # a stop of a car is not stiff
-        (1e7, 1e4, 0.1, sj.Rodas5P),  # decays at 1e5 per second
-        (1e8, 300.0, 0.01, sj.Rodas5P),  # vibrates at 1e5 rad/s, and that decays
+        (1e7, 1e4, 0.1, sj.solvers.Rodas5P),  # decays at 1e5 per second
+        (1e8, 300.0, 0.01, sj.solvers.Rodas5P),  # vibrates at 1e5 rad/s, and that decays
         (1e8, 0.0, 0.01, diffrax.Dopri8),  # vibrates at 1e5 rad/s for ever
     ],
 )
@@ -317,11 +317,11 @@ def test_a_law_without_scalar_program_runs_on_array_code():
     slow = hanging(0.0)
     forces = {"spring": sj.SpringDamper(("ground.a", "ball"), spring=lambda u: jnp.interp(u, xs, ys))}
     slow = sj.Scene(slow.bodies, forces=forces, ground_points=slow.ground_points)
-    with pytest.warns(sj.ArrayPathWarning, match="state_rate runs as array code"):
+    with pytest.warns(sj.errors.ArrayPathWarning, match="state_rate runs as array code"):
         run = sj.simulate(slow, ts=jnp.linspace(0.0, 0.5, 3))
     fast = sj.Scene(
         slow.bodies,
-        forces={"spring": sj.SpringDamper(("ground.a", "ball"), spring=sj.Table(xs, ys))},
+        forces={"spring": sj.SpringDamper(("ground.a", "ball"), spring=sj.functions.Table(xs, ys))},
         ground_points=slow.ground_points,
     )
     same = sj.simulate(fast, ts=run.ts)

@@ -14,7 +14,7 @@ TIME = 0.7
 # Kinks ---------------------------------------------------------------------------------------------------------------
 
 
-def slopes_at(force: sj.AbstractForce, y) -> dict:
+def slopes_at(force: sj.forces.AbstractForce, y) -> dict:
     """Wrenches and their derivatives by the state."""
     of_state = answer(force)
     function = program(lambda t, y: (of_state(t, y), jax.jacfwd(lambda y: of_state(t, y)["wrenches"])(y)))
@@ -40,17 +40,17 @@ def test_a_spring_without_free_length_is_smooth_where_its_ends_meet():
 
 @pytest.mark.parametrize("velocity", [(0.0, 0.0, 0.0), (1.0, 2.0, 3.0)])
 def test_coinciding_ends_are_finite(velocity):
-    spring = sj.SpringDamper(CENTERS, 50.0, 4.0, 0.3, spring=sj.Linear(2.0), damper=jnp.tanh)
+    spring = sj.SpringDamper(CENTERS, 50.0, 4.0, 0.3, spring=sj.functions.Linear(2.0), damper=jnp.tanh)
     slopes_at(spring, together(velocity=velocity))
-    slopes_at(sj.BumpStop(CENTERS, 0.1, 0.2, 1e3, 1.0, 0.01), together(velocity=velocity))
+    slopes_at(sj.forces.BumpStop(CENTERS, 0.1, 0.2, 1e3, 1.0, 0.01), together(velocity=velocity))
 
 
 @pytest.mark.parametrize("onset", [0.0, 0.01])
 def test_exactly_at_a_stop_nothing_acts(onset):
     for stop in (
-        sj.BumpStop(CENTERS, longest=0.5, stiffness=1e3, onset=onset),
-        sj.BumpStop(("ground", "second"), shortest=0.5, stiffness=1e3, onset=onset, direction=(0.0, 0.0, 1.0)),
-        sj.Tyre("second", 0.5, 1e3, onset=onset),
+        sj.forces.BumpStop(CENTERS, longest=0.5, stiffness=1e3, onset=onset),
+        sj.forces.BumpStop(("ground", "second"), shortest=0.5, stiffness=1e3, onset=onset, direction=(0.0, 0.0, 1.0)),
+        sj.forces.Tyre("second", 0.5, 1e3, onset=onset),
     ):
         found = slopes_at(stop, together((0.0, 0.0, 0.5), (0.0, 0.0, 1.0)))
         assert not np.any(found["value"]["wrenches"]["second"].force)
@@ -58,7 +58,7 @@ def test_exactly_at_a_stop_nothing_acts(onset):
 
 
 def test_a_stop_never_holds():
-    stop = sj.BumpStop(CENTERS, longest=0.5, stiffness=1e3, damping=1e3, onset=0.001)
+    stop = sj.forces.BumpStop(CENTERS, longest=0.5, stiffness=1e3, damping=1e3, onset=0.001)
     assert slopes_at(stop, together((0.0, 0.0, 0.51), (0.0, 0.0, -1.0)))["value"]["parts"]["force"] == 0
     assert slopes_at(stop, together((0.0, 0.0, 0.51), (0.0, 0.0, 1.0)))["value"]["parts"]["force"] == pytest.approx(
         1009.5
@@ -66,7 +66,7 @@ def test_a_stop_never_holds():
 
 
 def test_onset_has_a_continuous_slope_and_energy():
-    stop = sj.BumpStop(CENTERS, longest=0.5, stiffness=1e3, onset=0.02)
+    stop = sj.forces.BumpStop(CENTERS, longest=0.5, stiffness=1e3, onset=0.02)
     for depth in (0.0, 0.02):
         before, after = (slopes_at(stop, together((0.0, 0.0, 0.5 + depth + side))) for side in (-1e-9, 1e-9))
         for found in (lambda x: x["slope"]["second"].force[2, 9], lambda x: x["value"]["energy"]):
@@ -74,11 +74,11 @@ def test_onset_has_a_continuous_slope_and_energy():
 
 
 def test_shock_absorber_at_rest_and_beyond_its_transition():
-    absorber = sj.ShockAbsorber(CENTERS, sj.Linear(100.0), sj.Linear(300.0), transition=0.02)
+    absorber = sj.forces.ShockAbsorber(CENTERS, sj.functions.Linear(100.0), sj.functions.Linear(300.0), transition=0.02)
     for rate, force in ((-0.5, -50.0), (-0.02, -2.0), (0.0, 0.0), (0.02, 6.0), (0.5, 150.0)):
         found = slopes_at(absorber, together((0.0, 0.0, 1.0), (0.0, 0.0, rate)))
         assert found["value"]["parts"]["force"] == pytest.approx(force, abs=1e-12)
-    sharp = sj.ShockAbsorber(CENTERS, sj.Linear(100.0), sj.Linear(300.0), transition=0.0)
+    sharp = sj.forces.ShockAbsorber(CENTERS, sj.functions.Linear(100.0), sj.functions.Linear(300.0), transition=0.0)
     assert slopes_at(sharp, together((0.0, 0.0, 1.0)))["value"]["parts"]["force"] == 0
 
 
@@ -107,7 +107,7 @@ def test_angle_is_continuous_within_a_full_turn_and_jumps_at_its_end():
 def test_leaf_spring_with_bump_stop():
     up = (0.0, 0.0, 1.0)
     leaf = sj.SpringDamper(("ground", "second"), 35900.0, free_length=-0.076, direction=up)
-    stop = sj.BumpStop(("ground", "second"), longest=0.145, stiffness=1e7, direction=up)
+    stop = sj.forces.BumpStop(("ground", "second"), longest=0.145, stiffness=1e7, direction=up)
     for u in (-0.05, 0.0, 0.1, 0.145, 0.146):
         y = together((0.3, 0.2, u))
         force = sum(slopes_at(element, y)["value"]["wrenches"]["second"].force for element in (leaf, stop))
@@ -116,7 +116,9 @@ def test_leaf_spring_with_bump_stop():
 
 
 def test_tyre_over_the_bump():
-    tyre = sj.Tyre("second", 0.36325, 460e3, road=sj.Bump(height=0.2, start=15.0, length=5.0), speed=5.0)
+    tyre = sj.forces.Tyre(
+        "second", 0.36325, 460e3, road=sj.functions.Bump(height=0.2, start=15.0, length=5.0), speed=5.0
+    )
     at_time = program(answer(tyre))
     for t in (0.0, 3.2, 3.5, 4.5):
         found = at_time(t, together((0.0, -0.615, 0.5)))
@@ -145,25 +147,28 @@ def test_tyre_over_the_bump():
         (lambda: sj.SpringDamper("first", 1.0), "must name two points"),  # pyright: ignore[reportArgumentType]
         (lambda: sj.SpringDamper(CENTERS, 1.0, direction=(0.0, 0.0, 0.0)), "direction = .* must be a direction"),
         (lambda: sj.SpringDamper(CENTERS, 1.0, direction=(0.0, 1.0)), "three numbers"),
-        (lambda: sj.ShockAbsorber(CENTERS, jnp.sin, jnp.sin, transition=-1.0), "transition = -1"),
-        (lambda: sj.BumpStop(CENTERS, 0.2, 0.1, 1e3), "longest = 0.1 must be above shortest"),
-        (lambda: sj.BumpStop(CENTERS, 0.2, stiffness=1e3, damping=1.0), "onset = 0 must be positive with damping"),
+        (lambda: sj.forces.ShockAbsorber(CENTERS, jnp.sin, jnp.sin, transition=-1.0), "transition = -1"),
+        (lambda: sj.forces.BumpStop(CENTERS, 0.2, 0.1, 1e3), "longest = 0.1 must be above shortest"),
+        (
+            lambda: sj.forces.BumpStop(CENTERS, 0.2, stiffness=1e3, damping=1.0),
+            "onset = 0 must be positive with damping",
+        ),
         (lambda: sj.TorsionalSpring(("first", "first"), (0, 0, 1), 1.0), "bodies = .* must be two bodies"),
         (lambda: sj.TorsionalSpring(CENTERS, (0, 0, 0), 1.0), "axis = .* must be a direction"),
-        (lambda: sj.Tyre("second", -0.3, 1e5), "radius = -0.3 must be positive"),
-        (lambda: sj.Tyre("ground", 0.3, 1e5), "must be on a moving body"),
-        (lambda: sj.Tyre("second", 0.3, 1e5, road=sj.Bump(0.1, 0.0, 0.0)), "road.length = 0"),
-        (lambda: sj.Tyre("second", 0.3, 1e5, road=0.0), "road = 0.0 is no function"),  # pyright: ignore[reportArgumentType]
+        (lambda: sj.forces.Tyre("second", -0.3, 1e5), "radius = -0.3 must be positive"),
+        (lambda: sj.forces.Tyre("ground", 0.3, 1e5), "must be on a moving body"),
+        (lambda: sj.forces.Tyre("second", 0.3, 1e5, road=sj.functions.Bump(0.1, 0.0, 0.0)), "road.length = 0"),
+        (lambda: sj.forces.Tyre("second", 0.3, 1e5, road=0.0), "road = 0.0 is no function"),  # pyright: ignore[reportArgumentType]
         (lambda: sj.AppliedWrench("second.ear"), "no point 'ear'"),
     ],
 )
 def test_bad_input_is_named(force, message):
     with pytest.raises(sj.SceneError, match=message):
-        sj.compile_scene(scene_with(force()))
+        sj.equations.compile_scene(scene_with(force()))
 
 
 def test_missing_arguments_are_named():
     with pytest.raises(TypeError, match="shortest= or longest="):
-        sj.BumpStop(CENTERS, stiffness=1e3)
+        sj.forces.BumpStop(CENTERS, stiffness=1e3)
     with pytest.raises(TypeError, match="compression= and extension="):
-        sj.ShockAbsorber(CENTERS, None, jnp.sin)  # pyright: ignore[reportArgumentType]
+        sj.forces.ShockAbsorber(CENTERS, None, jnp.sin)  # pyright: ignore[reportArgumentType]

@@ -13,21 +13,25 @@ from spherejax.physics.functions.base import as_function
 X, Y = [-0.5, 0.0, 0.2, 0.9], [-1.0, -0.5, 2.0, 3.0]
 
 FUNCTIONS = {
-    "constant": sj.Constant(2.0),
-    "linear": sj.Linear(3.0, 1.0),
-    "polynomial": sj.Polynomial([1.0, 2.0, -3.0, 0.5], center=0.2),
-    "sine": sj.Sine(2.0, 0.7, phase=0.3, offset=0.1),
-    "step": sj.Step(0.41),
-    "smooth step": sj.SmoothStep(-0.2, 0.8, before=1.0, after=3.0),
-    "bump": sj.Bump(0.2, -0.3, 0.9),
-    "piecewise": sj.Piecewise([-0.2, 0.3], [sj.Linear(1.0), sj.Polynomial([-0.3, 0.0, 1.0]), jnp.sin]),
-    "integrable pieces": sj.Piecewise([-0.2, 0.3], [sj.Linear(1.0), sj.Sine(1.0, 0.5), sj.Constant(4.0)]),
-    "table": sj.Table(X, Y),
-    "smooth table": sj.SmoothTable(X, Y),
-    "two points": sj.SmoothTable(X[:2], Y[:2]),
-    "one line": sj.Table(X[:2], Y[:2]),
-    "sum": sj.Sum(sj.Linear(1.0), sj.Sine(1.0, 1.0)),
-    "integral": sj.Integral(sj.Table(X, Y), 0.3, origin=0.1),
+    "constant": sj.functions.Constant(2.0),
+    "linear": sj.functions.Linear(3.0, 1.0),
+    "polynomial": sj.functions.Polynomial([1.0, 2.0, -3.0, 0.5], center=0.2),
+    "sine": sj.functions.Sine(2.0, 0.7, phase=0.3, offset=0.1),
+    "step": sj.functions.Step(0.41),
+    "smooth step": sj.functions.SmoothStep(-0.2, 0.8, before=1.0, after=3.0),
+    "bump": sj.functions.Bump(0.2, -0.3, 0.9),
+    "piecewise": sj.functions.Piecewise(
+        [-0.2, 0.3], [sj.functions.Linear(1.0), sj.functions.Polynomial([-0.3, 0.0, 1.0]), jnp.sin]
+    ),
+    "integrable pieces": sj.functions.Piecewise(
+        [-0.2, 0.3], [sj.functions.Linear(1.0), sj.functions.Sine(1.0, 0.5), sj.functions.Constant(4.0)]
+    ),
+    "table": sj.functions.Table(X, Y),
+    "smooth table": sj.functions.SmoothTable(X, Y),
+    "two points": sj.functions.SmoothTable(X[:2], Y[:2]),
+    "one line": sj.functions.Table(X[:2], Y[:2]),
+    "sum": sj.functions.Sum(sj.functions.Linear(1.0), sj.functions.Sine(1.0, 1.0)),
+    "integral": sj.functions.Integral(sj.functions.Table(X, Y), 0.3, origin=0.1),
     "user's": as_function(lambda x: x**2 * jnp.cos(x)),
 }
 BREAKS = {
@@ -54,7 +58,7 @@ def points(name: str) -> np.ndarray:
 
 def at(function, xs) -> np.ndarray:
     """Values at points, by the scalar program: nothing is compiled."""
-    program = sj.scalarize(function, jnp.zeros(()))
+    program = sj.compiler.scalarize(function, jnp.zeros(()))
     return np.array([program.compute(x) for x in np.asarray(xs, float)])
 
 
@@ -86,7 +90,7 @@ def test_derivatives_by_the_numbers_are_finite_at_the_breaks(name):
     def slopes(numbers, x):
         return jax.jacfwd(lambda numbers: jax.tree.unflatten(structure, numbers)(x))(numbers)
 
-    program = sj.scalarize(slopes, [jnp.asarray(number, float) for number in numbers], jnp.zeros(()))
+    program = sj.compiler.scalarize(slopes, [jnp.asarray(number, float) for number in numbers], jnp.zeros(()))
     for x in points(name):
         assert all(np.isfinite(slope).all() for slope in program.compute(numbers, x)), x
 
@@ -123,7 +127,7 @@ def test_second_derivative_of_a_smooth_step_is_continuous():
     assert jump(FUNCTIONS["bump"].second_derivative, BREAKS["bump"]) > 1
 
 
-@pytest.mark.parametrize("kind", [sj.Table, sj.SmoothTable])
+@pytest.mark.parametrize("kind", [sj.functions.Table, sj.functions.SmoothTable])
 def test_tables_pass_their_points_and_go_on_straight(kind):
     table = kind(X, Y)
     np.testing.assert_allclose(at(table, X), Y, atol=1e-15)
@@ -134,26 +138,26 @@ def test_tables_pass_their_points_and_go_on_straight(kind):
 
 
 def test_table_is_linear_between_points():
-    assert sj.Table(X, Y)(0.1) == pytest.approx(0.75)
-    assert sj.Table(X, Y)(1.9) == pytest.approx(3.0 + 1.0 / 0.7)
+    assert sj.functions.Table(X, Y)(0.1) == pytest.approx(0.75)
+    assert sj.functions.Table(X, Y)(1.9) == pytest.approx(3.0 + 1.0 / 0.7)
 
 
 def test_smooth_table_does_not_overshoot():
-    table = sj.SmoothTable([0.0, 1.0, 1.1, 2.0, 3.0], [0.0, 0.0, 5.0, 5.0, 4.0])
+    table = sj.functions.SmoothTable([0.0, 1.0, 1.1, 2.0, 3.0], [0.0, 0.0, 5.0, 5.0, 4.0])
     values = at(table, np.linspace(0.0, 3.0, 601))
     assert values.min() >= 0
     assert values.max() <= 5 + 1e-12
-    rising = at(sj.SmoothTable(X, Y), np.linspace(-1.0, 2.0, 601))
+    rising = at(sj.functions.SmoothTable(X, Y), np.linspace(-1.0, 2.0, 601))
     assert (np.diff(rising) > 0).all()
 
 
 def test_smooth_table_reproduces_a_straight_line():
-    table = sj.SmoothTable([-1.0, 0.3, 0.5, 2.0], np.array([-1.0, 0.3, 0.5, 2.0]) * 3 - 1)
+    table = sj.functions.SmoothTable([-1.0, 0.3, 0.5, 2.0], np.array([-1.0, 0.3, 0.5, 2.0]) * 3 - 1)
     np.testing.assert_allclose(at(table, EVERYWHERE), 3 * EVERYWHERE - 1, rtol=1e-13)
 
 
 def test_bump_of_the_paper():
-    road = sj.Bump(height=0.2, start=15.0, length=5.0)
+    road = sj.functions.Bump(height=0.2, start=15.0, length=5.0)
     for x in (15.7, 17.5, 19.9):
         assert road(x) == pytest.approx(0.1 * (1 - np.cos(2 * np.pi * (x - 15) / 5)), rel=1e-14)
     assert road(14.0) == 0
@@ -161,12 +165,12 @@ def test_bump_of_the_paper():
 
 
 def test_damper_of_the_paper_is_smooth():
-    damper = sj.Piecewise(
+    damper = sj.functions.Piecewise(
         [-0.20, 0.21],
         [
-            sj.Linear(1844.3, -416.42),
-            sj.Polynomial([0.0, 9945.627, 33955.72, -59832.25, -395651.0]),
-            sj.Linear(1634.727, 1919.1638),
+            sj.functions.Linear(1844.3, -416.42),
+            sj.functions.Polynomial([0.0, 9945.627, 33955.72, -59832.25, -395651.0]),
+            sj.functions.Linear(1634.727, 1919.1638),
         ],
     )
     assert jump(damper, (-0.20, 0.21)) < 0.1  # of 785 and 2262 N: to the digits printed
@@ -174,41 +178,41 @@ def test_damper_of_the_paper_is_smooth():
 
 
 def test_a_piece_is_evaluated_on_its_own_interval_only():
-    function = sj.Piecewise([1.0], [sj.Constant(0.0), lambda x: jnp.sqrt(x - 1.0 + 1e-3)])
+    function = sj.functions.Piecewise([1.0], [sj.functions.Constant(0.0), lambda x: jnp.sqrt(x - 1.0 + 1e-3)])
     for x in (-5.0, 0.0, 1.0, 2.0):
         assert np.isfinite(jax.grad(function)(x)), x
 
 
 def test_numbers_are_leaves():
     ys = jnp.linspace(0.0, 1.0, 5)
-    values = jax.vmap(lambda y: sj.Table([0.0, 1.0], jnp.stack([jnp.zeros(()), y]))(0.5))(ys)
+    values = jax.vmap(lambda y: sj.functions.Table([0.0, 1.0], jnp.stack([jnp.zeros(()), y]))(0.5))(ys)
     np.testing.assert_allclose(values, ys / 2)
-    assert jax.grad(lambda h: sj.Bump(h, 0.0, 1.0)(0.5))(2.0) == pytest.approx(1.0)
+    assert jax.grad(lambda h: sj.functions.Bump(h, 0.0, 1.0)(0.5))(2.0) == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize(
     ("function", "message"),
     [
-        (sj.Table([0.0, 2.0, 1.0], [0.0, 1.0, 2.0]), r"spring.x = \[0. 2. 1.\] must increase"),
-        (sj.SmoothTable([0.0, 0.0, 1.0], [0.0, 1.0, 2.0]), "leave out doubles"),
-        (sj.Table([0.0, 1.0], [0.0, 1.0, 2.0]), "as many as y"),
-        (sj.Table([0.0], [0.0]), "two or more"),
-        (sj.Table([0.0, 1.0], [0.0, np.nan]), "spring.y"),
-        (sj.Polynomial([]), "spring.coefficients"),
-        (sj.Polynomial([np.inf]), "spring.coefficients"),
-        (sj.Sine(1.0, 0.0), "spring.frequency = 0 must be positive"),
-        (sj.Bump(1.0, 0.0, -1.0), "spring.length = -1 must be positive"),
-        (sj.SmoothStep(1.0, 1.0), "spring.end = 1 must be above start"),
-        (sj.Piecewise([1.0, 0.0], [jnp.sin] * 3), "spring.breaks"),
-        (sj.Piecewise([1.0], [jnp.sin] * 3), "be a list of 2 numbers"),
-        (sj.Piecewise([1.0], [jnp.sin, sj.Bump(1.0, 0.0, 0.0)]), r"spring.pieces\[1\].length"),
-        (sj.Sum(sj.Constant(np.nan)), r"spring.terms\[0\].value"),
+        (sj.functions.Table([0.0, 2.0, 1.0], [0.0, 1.0, 2.0]), r"spring.x = \[0. 2. 1.\] must increase"),
+        (sj.functions.SmoothTable([0.0, 0.0, 1.0], [0.0, 1.0, 2.0]), "leave out doubles"),
+        (sj.functions.Table([0.0, 1.0], [0.0, 1.0, 2.0]), "as many as y"),
+        (sj.functions.Table([0.0], [0.0]), "two or more"),
+        (sj.functions.Table([0.0, 1.0], [0.0, np.nan]), "spring.y"),
+        (sj.functions.Polynomial([]), "spring.coefficients"),
+        (sj.functions.Polynomial([np.inf]), "spring.coefficients"),
+        (sj.functions.Sine(1.0, 0.0), "spring.frequency = 0 must be positive"),
+        (sj.functions.Bump(1.0, 0.0, -1.0), "spring.length = -1 must be positive"),
+        (sj.functions.SmoothStep(1.0, 1.0), "spring.end = 1 must be above start"),
+        (sj.functions.Piecewise([1.0, 0.0], [jnp.sin] * 3), "spring.breaks"),
+        (sj.functions.Piecewise([1.0], [jnp.sin] * 3), "be a list of 2 numbers"),
+        (sj.functions.Piecewise([1.0], [jnp.sin, sj.functions.Bump(1.0, 0.0, 0.0)]), r"spring.pieces\[1\].length"),
+        (sj.functions.Sum(sj.functions.Constant(np.nan)), r"spring.terms\[0\].value"),
     ],
 )
 def test_bad_numbers_are_refused_by_name(function, message):
     spring = sj.SpringDamper(("ground", "ball"), spring=function)
     with pytest.raises(sj.SceneError, match=message):
-        sj.compile_scene(sj.Scene({"ball": sj.Body(1.0, [1.0, 1.0, 1.0])}, forces={"spring": spring}))
+        sj.equations.compile_scene(sj.Scene({"ball": sj.Body(1.0, [1.0, 1.0, 1.0])}, forces={"spring": spring}))
 
 
 def test_what_is_no_function_is_refused():

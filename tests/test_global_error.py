@@ -277,7 +277,7 @@ def test_the_command_takes_an_accuracy(capsys):
 
 
 def in_a_file(scene, tmp_path) -> str:
-    settings = sj.SimulationSettings(t1=1.0, samples=11, rtol=1e-5, accuracy={"position.rod": "1 nm"})
+    settings = sj.files.SimulationSettings(t1=1.0, samples=11, rtol=1e-5, accuracy={"position.rod": "1 nm"})
     return str(sj.save_scene(scene, tmp_path / "rod.toml", settings=settings))
 
 
@@ -306,7 +306,7 @@ def test_the_command_integrates_the_work_whose_accuracy_is_asked_for(tmp_path, c
 
 def dry_journal(clearance=5e-4, heavier=0.0) -> sj.Scene:
     """The piston with a dry journal; its mass is larger by a share."""
-    scene = sj.gallery.piston(sj.Dry(clearance, conformity=sj.JohnsonCylinder(0.02)))
+    scene = sj.gallery.piston(sj.Dry(clearance, conformity=sj.laws.JohnsonCylinder(0.02)))
     piston = scene.bodies["piston"]
     heavy = eqx.tree_at(lambda body: body.mass, piston, float(piston.mass) * (1 + heavier))
     return replace(scene, bodies={**scene.bodies, "piston": heavy})
@@ -314,7 +314,7 @@ def dry_journal(clearance=5e-4, heavier=0.0) -> sj.Scene:
 
 def test_journals_are_judged_against_their_clearance():
     for clearance in (1e-4, 5e-4):
-        assert usual_limit(sj.compile_scene(dry_journal(clearance)).system) == pytest.approx(1e-2 * clearance)
+        assert usual_limit(sj.equations.compile_scene(dry_journal(clearance)).system) == pytest.approx(1e-2 * clearance)
     with pytest.raises(sj.SceneError, match=r"a length"):
         sj.simulate(dry_journal(), SHORT, accuracy={"eccentricity.pin": "50 N"})
 
@@ -332,7 +332,7 @@ def test_the_place_of_a_dry_journal_is_as_exact_as_its_motion_lets_it():
         return bench.size(first - second).max()
 
     _, exact = places(rtol=1e-12)
-    _, other = places(rtol=1e-12, solver=sj.Dop853())
+    _, other = places(rtol=1e-12, solver=sj.solvers.Dop853())
     assert largest(other, exact) < 1e-5
     amplification = largest(places(1e-8, rtol=1e-12)[1], exact) / 1e-8
     assert amplification == pytest.approx(6e2, rel=0.5)

@@ -68,8 +68,8 @@ def test_a_gradient_by_many_numbers(way):
 @pytest.mark.parametrize(
     "solver",
     [
-        sj.Rodas5P(),
-        pytest.param(sj.Ros34PW2(), marks=pytest.mark.slow),
+        sj.solvers.Rodas5P(),
+        pytest.param(sj.solvers.Ros34PW2(), marks=pytest.mark.slow),
         pytest.param(diffrax.Kvaerno5(), marks=pytest.mark.slow),
     ],
     ids=["Rodas5P", "W", "implicit"],

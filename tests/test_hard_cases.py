@@ -296,7 +296,7 @@ def _bushing(n):
 
 
 BUSHING = hard.Family(_bushing, (("stiffness", 1e6), ("damping", 1e-3)), max_steps=100_000)
-STIFF_BUSHING = hard.Family(_bushing, BUSHING.numbers, max_steps=100_000, solver=sj.Rodas5P())
+STIFF_BUSHING = hard.Family(_bushing, BUSHING.numbers, max_steps=100_000, solver=sj.solvers.Rodas5P())
 BUSHING_CASES = {
     # Every speed of relaxation, from 1e-4 to 5e10 per second.
     **{
@@ -345,7 +345,9 @@ def test_no_first_step_damps_what_lasts(options):
     scene = BUSHING.scene(circling())
     ts = jnp.linspace(0.0, 0.02, 3)
     with pytest.warns(sj.SimulationWarning, match="max_steps"):
-        run = sj.simulate(scene, ts, rtol=1e-8, atol=1e-11, **({"solver": sj.Rodas5P(), "max_steps": 40} | options))
+        run = sj.simulate(
+            scene, ts, rtol=1e-8, atol=1e-11, **({"solver": sj.solvers.Rodas5P(), "max_steps": 40} | options)
+        )
     assert 0 < run.t_reached < 1e-7
     speed = np.linalg.norm(run.y_reached[7:10])
     assert 0.05 < speed < 0.15

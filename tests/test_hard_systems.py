@@ -72,7 +72,7 @@ def test_dependent_equations_are_left_out():
     b = S @ x
     for solve in (
         symmetric_solve,
-        sj.scalarize(symmetric_solve, *(jax.ShapeDtypeStruct(v.shape, jnp.float64) for v in (S, b))),
+        sj.compiler.scalarize(symmetric_solve, *(jax.ShapeDtypeStruct(v.shape, jnp.float64) for v in (S, b))),
     ):
         found = np.asarray(solve(jnp.asarray(S), jnp.asarray(b)))
         assert S @ found == pytest.approx(b, rel=1e-10)

@@ -11,7 +11,7 @@ import spherejax as sj
 from spherejax.studies.fit import Whole, problem_of
 
 DOPRI8 = diffrax.Dopri8()
-GROWING = sj.GrowingHorizon()
+GROWING = sj.studies.GrowingHorizon()
 
 
 def fit(build, start, measured, **options):
@@ -41,7 +41,7 @@ def grown(ball):
 
 @pytest.fixture(scope="module")
 def at_once(ball):
-    method = sj.LevenbergMarquardt(max_iterations=15)
+    method = sj.studies.LevenbergMarquardt(max_iterations=15)
     return fit(cases.ball_in_socket, off(1.5, 0.5), ball, horizon=Whole(), method=method, max_steps=20_000)
 
 
@@ -59,7 +59,7 @@ def test_a_growing_horizon_leads_through_nine_impacts(grown):
 def test_the_whole_record_at_once_does_not(at_once):
     assert at_once.reduced_chi_square > 1e4
     (warning,) = [each for each in at_once.warnings if "gradient" in each]
-    assert "horizon=sj.GrowingHorizon()" in warning
+    assert "horizon=sj.studies.GrowingHorizon()" in warning
 
 
 def test_noise_need_not_be_known(ball):
@@ -132,7 +132,7 @@ def test_an_interrupt_keeps_what_has_been_found(ball):
 )
 def test_bad_horizons_are_refused(options, said):
     with pytest.raises(sj.SceneError, match=said):
-        sj.GrowingHorizon(**options)
+        sj.studies.GrowingHorizon(**options)
 
 
 # The dry four-bar: ten onsets -----------------------------------------------------------------------------------------

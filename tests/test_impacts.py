@@ -13,7 +13,9 @@ from spherejax.motion.results.impacts import peak_of
 from spherejax.motion.results.steps import SHARES, PartingWarning, steps_of
 
 COARSE = np.array([0.0, 0.004, 0.01])
-pytestmark = pytest.mark.filterwarnings("ignore::spherejax.OutOfRangeWarning")  # 0.5 m/s press beyond Eq. 24's range
+pytestmark = pytest.mark.filterwarnings(
+    "ignore::spherejax.errors.OutOfRangeWarning"
+)  # 0.5 m/s press beyond Eq. 24's range
 
 
 def bounced(model, **options):

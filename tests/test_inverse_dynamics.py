@@ -25,7 +25,7 @@ def swing(t):
 
 def driven_four_bar(model=None, *, coupler_mass=0.1416, **more):
     """The four-bar with a motor on its crank."""
-    scene = sj.gallery.four_bar(model, drift=sj.PostStabilization())
+    scene = sj.gallery.four_bar(model, drift=sj.solvers.PostStabilization())
     coupler = scene.bodies["coupler"]
     bodies = dict(scene.bodies)
     bodies["coupler"] = sj.Body(
@@ -93,7 +93,7 @@ def test_actuators_springs_and_turns_come_back():
             },
         )
 
-    scene = build(sj.Sine(0.3, 1.0, offset=0.5))
+    scene = build(sj.functions.Sine(0.3, 1.0, offset=0.5))
     run = sj.simulate(scene, jnp.linspace(0.0, 2.0, 41), rtol=1e-10).require_success()
     # More than two turns: the spring's angle is not that of the orientation.
     assert run.force("spring")["angle"].max() > 4 * np.pi
@@ -195,8 +195,8 @@ def test_the_moments_of_a_leg_make_its_motion():
         for name, body in scene.bodies.items()
     }
     motors = {
-        "hip_motor": sj.Actuator(HIP_TURN, sj.SmoothTable(ts, found.effort("hip_motor"))),
-        "knee_motor": sj.Actuator(CRANK_TURN, sj.SmoothTable(ts, found.effort("knee_motor"))),
+        "hip_motor": sj.Actuator(HIP_TURN, sj.functions.SmoothTable(ts, found.effort("hip_motor"))),
+        "knee_motor": sj.Actuator(CRANK_TURN, sj.functions.SmoothTable(ts, found.effort("knee_motor"))),
     }
     run = sj.simulate(sj.Scene(bodies, joints, motors), ts, rtol=1e-7).require_success()
     # What the table of moments interpolates, twice integrated.

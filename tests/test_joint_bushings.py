@@ -18,8 +18,8 @@ from spherejax.foundations.rotation import (
 from spherejax.physics.laws.elastomer_axes import turned_axis
 
 K = np.array([[3e4, 2e3, 0.0], [2e3, 2e4, 1e3], [0.0, 1e3, 1e4]])
-HINGE = sj.HingeElastomer(K, 1e-3 * K, 50.0, 0.2, 0.1)
-CROSS = sj.CrossElastomer(K, 1e-3 * K, 40.0, 0.3)
+HINGE = sj.laws.HingeElastomer(K, 1e-3 * K, 50.0, 0.2, 0.1)
+CROSS = sj.laws.CrossElastomer(K, 1e-3 * K, 40.0, 0.3)
 X, Y, Z = np.eye(3)
 turned = jax.jit(lambda v: quaternion_from_rotation_vector(v))
 times = jax.jit(quaternion_product)
@@ -101,13 +101,13 @@ def test_values_and_derivatives_are_finite_at_singular_turns(law, quaternion):
 # Mechanisms ----------------------------------------------------------------------------------------------------------
 
 RUBBER = {"radial_stiffness": 4e3, "axial_stiffness": 3e3, "damping": 0.0}
-MATRIX = sj.MatrixElastomer.cylindrical(Z, **RUBBER, conical_stiffness=80.0, torsional_stiffness=40.0)
+MATRIX = sj.laws.MatrixElastomer.cylindrical(Z, **RUBBER, conical_stiffness=80.0, torsional_stiffness=40.0)
 SLIDING = {**RUBBER, "axial_stiffness": 0.0}
 MODELS = {
-    "revolute": sj.HingeElastomer.symmetric(**RUBBER, conical_stiffness=80.0),
-    "cylindrical": sj.HingeElastomer.symmetric(**SLIDING, conical_stiffness=80.0),
-    "prismatic": sj.MatrixElastomer.cylindrical(Z, **SLIDING, conical_stiffness=80.0, torsional_stiffness=80.0),
-    "universal": sj.CrossElastomer(4e3 * np.eye(3), 0.0 * np.eye(3), 80.0),
+    "revolute": sj.laws.HingeElastomer.symmetric(**RUBBER, conical_stiffness=80.0),
+    "cylindrical": sj.laws.HingeElastomer.symmetric(**SLIDING, conical_stiffness=80.0),
+    "prismatic": sj.laws.MatrixElastomer.cylindrical(Z, **SLIDING, conical_stiffness=80.0, torsional_stiffness=80.0),
+    "universal": sj.laws.CrossElastomer(4e3 * np.eye(3), 0.0 * np.eye(3), 80.0),
     "fixed": MATRIX,
 }
 
@@ -149,7 +149,7 @@ def floating_chain():
 
 @pytest.fixture(scope="module")
 def chain():
-    with pytest.warns(sj.StartWarning, match=r"revolute.* 2 more: .* starts concentric"):
+    with pytest.warns(sj.errors.StartWarning, match=r"revolute.* 2 more: .* starts concentric"):
         return sj.simulate(
             floating_chain(), cases.times(0.4, 41), rtol=1e-10, solver=diffrax.Dopri8()
         ).require_success()
@@ -189,7 +189,7 @@ def test_starts_like_the_ideal_joint():
         starts = []
         for model in (None, sj.Bushing(law=law)):
             scene = sj.Scene(bodies, {"j": joint_of(kind, ("ground", "body"), (0.0, 0.1, 0.0), model)})
-            system = sj.compile_scene(scene).system
+            system = sj.equations.compile_scene(scene).system
             starts.append(assembled(system))
         assert np.abs(starts[0]).max() > 0.1
         assert starts[0] == pytest.approx(starts[1], abs=0.0)
@@ -207,18 +207,20 @@ REFUSED = {
             PAIR,
             AT,
             Z,
-            sj.Bushing(law=sj.MatrixElastomer.cylindrical(Z, **RUBBER, conical_stiffness=1.0, torsional_stiffness=0.0)),
+            sj.Bushing(
+                law=sj.laws.MatrixElastomer.cylindrical(Z, **RUBBER, conical_stiffness=1.0, torsional_stiffness=0.0)
+            ),
         ),
         "zz",
         "HingeElastomer",
     ),
     "negative stiffness": (
-        lambda: sj.Revolute(PAIR, AT, Z, sj.Bushing(law=sj.HingeElastomer(K, K, -1.0))),
+        lambda: sj.Revolute(PAIR, AT, Z, sj.Bushing(law=sj.laws.HingeElastomer(K, K, -1.0))),
         "conical_stiffness = -1",
         "negative",
     ),
     "asymmetric": (
-        lambda: sj.Universal(PAIR, AT, Z, X, sj.Bushing(law=sj.CrossElastomer(np.triu(K), K, 1.0))),
+        lambda: sj.Universal(PAIR, AT, Z, X, sj.Bushing(law=sj.laws.CrossElastomer(np.triu(K), K, 1.0))),
         "stiffness",
         "symmetric",
     ),
@@ -230,7 +232,7 @@ def test_unfit_models_are_refused(name):
     build, *words = REFUSED[name]
     scene = sj.Scene({"body": sj.Body(1.0, (1.0, 1.0, 1.0))}, {"hinge": build()})
     with pytest.raises(sj.SceneError) as error:
-        sj.compile_scene(scene)
+        sj.equations.compile_scene(scene)
     for word in ("'hinge'", *words):
         assert word in str(error.value)
 

@@ -25,7 +25,7 @@ from spherejax.physics.state import unpack
 MU, RADIUS, G = 0.1, 0.01, 9.81
 SHARP = sj.Threlfall(mu=MU, v1=1e-5)  # Coulomb's law but for a few hundredths of a millimeter per second
 
-PRESSURES = {"cosine": sj.CosinePressure(), "uniform": sj.UniformPressure(), "point": sj.PointContact()}
+PRESSURES = {"cosine": sj.laws.CosinePressure(), "uniform": sj.laws.UniformPressure(), "point": sj.laws.PointContact()}
 
 
 def spinning_ball(model, spin=(0.0, 0.0, 5.0), gravity=-G, mass=0.2, inertia=1e-4) -> sj.Scene:
@@ -86,7 +86,7 @@ def test_factors_are_the_integrals_over_the_half_sphere():
     theta, phi = np.meshgrid((np.arange(n) + 0.5) / n * np.pi / 2, (np.arange(2 * n) + 0.5) / n * np.pi)
     area = np.sin(theta) * (np.pi / 2 / n) * (np.pi / n)
     about, across = np.sin(theta), np.sqrt(1 - (np.sin(theta) * np.cos(phi)) ** 2)  # distances from the two axes
-    for law, pressure in ((sj.CosinePressure(), np.cos(theta)), (sj.UniformPressure(), np.ones_like(theta))):
+    for law, pressure in ((sj.laws.CosinePressure(), np.cos(theta)), (sj.laws.UniformPressure(), np.ones_like(theta))):
         force = np.sum(pressure * np.cos(theta) * area)
         factors = [np.sum(pressure * lever * area) / force for lever in (across, about)]
         np.testing.assert_allclose((law.across, law.about), factors, rtol=1e-4)
@@ -105,7 +105,7 @@ def test_ball_under_weight_slows_down_as_its_pressure_says(name, direction):
 
 def test_reaction_at_an_angle_turns_the_axis_of_rotation():
     """Across and about the reaction friction differs: a ball that turns obliquely gets a moment off its axis."""
-    run = sound(spinning_ball(sj.Ideal(SHARP, RADIUS, sj.PointContact()), (3.0, 0.0, 4.0)), [0.0])
+    run = sound(spinning_ball(sj.Ideal(SHARP, RADIUS, sj.laws.PointContact()), (3.0, 0.0, 4.0)), [0.0])
     expected = -MU * RADIUS * 0.2 * G * np.array([0.6, 0.0, 0.0])
     np.testing.assert_allclose(run.part("joint", "friction_moment")[0], expected, atol=1e-9)
 
@@ -115,7 +115,7 @@ def test_reaction_at_an_angle_turns_the_axis_of_rotation():
 
 @pytest.mark.parametrize("law", [SHARP, sj.BrownMcPhee(0.1, 0.1, 1e-5), sj.LuGre(0.1, 0.1, 1e-4, 1e6, 300.0)])
 def test_preload_stops_a_ball_when_its_momentum_is_spent(law):
-    model = sj.Ideal(law, RADIUS, sj.PreloadAlone(), preload=1e-3)
+    model = sj.Ideal(law, RADIUS, sj.laws.PreloadAlone(), preload=1e-3)
     run = sound(spinning_ball(model), [0.0, 0.25, 0.45, 0.55, 0.7])  # J w0 / M0 = 0.5 s
     spins = np.asarray(run.angular_velocity("ball"))[:, 2]
     np.testing.assert_allclose(spins, [5.0, 2.5, 0.5, 0.0, 0.0], atol=2e-3)
@@ -138,7 +138,7 @@ def test_pendulum_with_constant_friction_loses_the_same_angle_in_every_swing():
     m, length, preload = 0.5, 0.1, 5e-4
     inertia = 2e-3 + m * length**2
     half = np.pi / np.sqrt(m * G * length / inertia)
-    model = sj.Ideal(sj.Threlfall(0.1, 1e-7), 0.005, sj.PreloadAlone(), preload=preload)
+    model = sj.Ideal(sj.Threlfall(0.1, 1e-7), 0.005, sj.laws.PreloadAlone(), preload=preload)
     run = sound(pendulum(model, 0.02), half * np.arange(6))
     angle = np.arctan2(np.asarray(run.position("bob"))[:, 0], -np.asarray(run.position("bob"))[:, 2])
     expected = 0.02 - 2 * preload / (m * G * length) * np.arange(6)
@@ -228,9 +228,9 @@ def dense_solution(system, y, joints):
 
 def test_two_joints_agree_with_newtons_method_on_all_equations():
     first = sj.Ideal(sj.Threlfall(0.2, 1e-2), 0.02, preload=0.01, passes=12)
-    second = sj.Ideal(sj.Threlfall(0.3, 2e-2), 0.015, sj.PointContact(), passes=3)
-    scene = eqx.tree_at(lambda s: s.drift, chain(first, second), sj.NoDriftControl())
-    system = sj.compile_scene(scene).system
+    second = sj.Ideal(sj.Threlfall(0.3, 2e-2), 0.015, sj.laws.PointContact(), passes=3)
+    scene = eqx.tree_at(lambda s: s.drift, chain(first, second), sj.solvers.NoDriftControl())
+    system = sj.equations.compile_scene(scene).system
     start = np.asarray(assemble_now(*flatten_system(as_ideal(system))).y)
     names = list(system.bodies)
     expected = dense_solution(system, start, {
@@ -246,7 +246,7 @@ def test_shaft_that_turns_and_slides_slows_down_along_its_velocity():
     """With J = m R^2 about the axis the surface's velocity (R w, s) keeps its direction."""
     m, k = 0.3, np.pi / 2
     body = sj.Body(m, (1e-3, 1e-3, m * RADIUS**2), velocity=(0.0, 0.0, 0.3), angular_velocity=(0.0, 0.0, 40.0))
-    model = sj.Ideal(SHARP, RADIUS, sj.UniformPressure(), preload_force=0.06)
+    model = sj.Ideal(SHARP, RADIUS, sj.laws.UniformPressure(), preload_force=0.06)
     joint = sj.Cylindrical(("ground", "shaft"), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), model)
     scene = sj.Scene({"shaft": body}, {"bearing": joint}, gravity=(G, 0.0, 0.0))
     run = sound(scene, [0.0, 0.2])
@@ -260,7 +260,7 @@ def test_slider_carries_its_tilt_and_its_twist():
     """A sledge whose guide is off its center of mass: weight, tilt about the guide's ends, twist at its radius."""
     m, offset, length, radius = 0.3, 0.02, 0.1, 0.015
     body = sj.Body(m, (1e-3,) * 3, velocity=(0.0, 0.0, 0.5))
-    model = sj.Ideal(sj.Threlfall(0.05, 1e-5), radius, sj.PointContact(), length=length, passes=8)
+    model = sj.Ideal(sj.Threlfall(0.05, 1e-5), radius, sj.laws.PointContact(), length=length, passes=8)
     joint = sj.Prismatic(("ground", "sledge"), (0.0, offset, 0.0), (0.0, 0.0, 1.0), model)
     run = sound(sj.Scene({"sledge": body}, {"guide": joint}, gravity=(G, 0.0, 0.0)), [0.0])
     # The weight twists the guide, friction tilts the sledge about its center of mass.
@@ -299,7 +299,7 @@ def test_bearing_of_a_length_carries_moments_at_its_ends():
 
 @pytest.mark.parametrize("law", [sj.Threlfall(0.2, 1e-2), pytest.param(sj.LuGre(), marks=pytest.mark.slow)])
 def test_what_is_lost_is_what_friction_has_taken(law):
-    first, second = sj.Ideal(law, 0.02, preload=0.01), sj.Ideal(law, 0.015, sj.UniformPressure())
+    first, second = sj.Ideal(law, 0.02, preload=0.01), sj.Ideal(law, 0.015, sj.laws.UniformPressure())
     run = sound(chain(first, second), np.linspace(0.0, 0.2, 6), track_work=True, rtol=1e-9)
     lost = run.mechanical_energy[0] - run.mechanical_energy
     taken = run.dissipated_energy("shoulder") + run.dissipated_energy("elbow")
@@ -374,7 +374,7 @@ def test_redundant_joints_whose_loads_are_unique_may_rub():
     """By the radial loads in a plane, and by preloads anywhere."""
     run = sound(plane_four_bar(sj.Ideal(sj.Threlfall(), RADIUS)), [0.0, 0.05], track_work=True)
     assert np.all([run.dissipated_energy(name)[-1] > 0 for name in "abcd"])
-    sound(door(sj.Ideal(sj.Threlfall(), RADIUS, sj.PreloadAlone(), preload=0.1)), [0.0, 0.05])
+    sound(door(sj.Ideal(sj.Threlfall(), RADIUS, sj.laws.PreloadAlone(), preload=0.1)), [0.0, 0.05])
 
 
 @pytest.mark.slow
@@ -392,7 +392,9 @@ def test_traced_numbers_are_judged_while_the_run_goes_on():
 def jamming(mu, speed=0.0, passes=4) -> sj.Scene:
     """A sledge whose guide is short and far from its center of mass: mu 2 h/L = 4 mu."""
     body = sj.Body(0.3, (1e-6,) * 3, velocity=(0.0, 0.0, speed))
-    model = sj.Ideal(sj.Threlfall(mu, 1e-2), None, sj.PointContact(), preload_force=0.1, length=0.05, passes=passes)
+    model = sj.Ideal(
+        sj.Threlfall(mu, 1e-2), None, sj.laws.PointContact(), preload_force=0.1, length=0.05, passes=passes
+    )
     guide = sj.Prismatic(("ground", "sledge"), (0.0, 0.1, 0.0), (0.0, 0.0, 1.0), model)
     return sj.Scene({"sledge": body}, {"guide": guide}, gravity=(0.0, 0.0, 1.0))
 
@@ -423,7 +425,7 @@ def test_too_few_passes_are_reported():
             "length = 0.1 must be left out",
         ),
         (
-            lambda: sj.Spherical("ground.o", "body.o", sj.Ideal(sj.Threlfall(), 0.01, sj.PreloadAlone())),
+            lambda: sj.Spherical("ground.o", "body.o", sj.Ideal(sj.Threlfall(), 0.01, sj.laws.PreloadAlone())),
             "pressure = 'PreloadAlone' must come with a preload",
         ),
         (
@@ -473,7 +475,7 @@ KINDS = {
 def model_for(kind, law) -> sj.Ideal:
     slides = kind in ("cylindrical", "prismatic")
     preload = {"preload_force": 0.5} if slides else {"preload": 0.02}
-    return sj.Ideal(law, 0.01, sj.UniformPressure(), **preload, length=None if kind == "ball" else 0.3)
+    return sj.Ideal(law, 0.01, sj.laws.UniformPressure(), **preload, length=None if kind == "ball" else 0.3)
 
 
 def pair(kind, law, model=None) -> sj.Scene:
@@ -499,7 +501,7 @@ AT_REST_FAST = (("ball", "threlfall"),)
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("kind", KINDS)
 def test_scalar_program_is_the_array_code_and_momentum_is_kept(kind, law):
-    system = sj.compile_scene(pair(kind, LAWS[law]), track_work=True).system
+    system = sj.equations.compile_scene(pair(kind, LAWS[law]), track_work=True).system
     structure, theta = flatten_system(system)
     y = displaced_state(system, assemble_now(*flatten_system(as_ideal(system))), 3, 0.0)
     scalar = np.asarray(program_for(dynamics.state_rate, structure, True)(theta, 0.0, jnp.asarray(y)))
@@ -528,7 +530,7 @@ def test_scalar_program_is_the_array_code_and_momentum_is_kept(kind, law):
     ],
 )
 def test_derivatives_are_finite_at_rest_and_without_load(kind, law):
-    system = sj.compile_scene(eqx.tree_at(lambda s: s.gravity, pair(kind, LAWS[law]), np.zeros(3))).system
+    system = sj.equations.compile_scene(eqx.tree_at(lambda s: s.gravity, pair(kind, LAWS[law]), np.zeros(3))).system
     structure, theta = flatten_system(system)
     y = np.zeros(system.layout.size)
     n_q = system.layout.n_position
@@ -561,7 +563,7 @@ def test_derivatives_of_a_run_forward_reverse_and_by_differences():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("solver", [sj.Rodas5P(), sj.Ros34PW2()])
+@pytest.mark.parametrize("solver", [sj.solvers.Rodas5P(), sj.solvers.Ros34PW2()])
 @pytest.mark.parametrize("law", LAWS)
 def test_stiff_methods_find_the_same_motion(solver, law):
     scene = chain(sj.Ideal(LAWS[law], 0.02), sj.Ideal(LAWS[law], 0.02))
@@ -577,7 +579,7 @@ def test_linear_systems_of_stiff_methods_hold_the_friction(law):
     But for the row of the work of the constraint forces, on which nothing depends: it is left out of the matrix.
     """
     model = sj.Ideal(LAWS[law], 0.02, preload=0.01, passes=10)
-    system = sj.compile_scene(chain(model, model), track_work=True).system
+    system = sj.equations.compile_scene(chain(model, model), track_work=True).system
     structure, theta = flatten_system(system)
     theta, t, gamma_h = jnp.asarray(theta), jnp.zeros(()), 1e-3
     y = jnp.asarray(displaced_state(system, assemble_now(*flatten_system(as_ideal(system))), 1, 0.0))
@@ -597,7 +599,7 @@ def test_joints_of_all_sorts_remember_and_work_each_for_itself():
     """Bristles in an ideal joint beside those of a contact, and beside a bushing: memory and work by joint."""
     sticking = sj.Ideal(sj.LuGre(), 0.02, preload=0.01)
     scene = chain(sticking, sj.Dry(clearance=1e-3, friction=sj.LuGre()))
-    system = sj.compile_scene(scene).system
+    system = sj.equations.compile_scene(scene).system
     assert [(slot.joint, len(slot.names)) for slot in system.memory_slots] == [("elbow", 4), ("shoulder", 3)]
     run = sound(scene, np.linspace(0.0, 0.05, 3), track_work=True)
     lost = run.mechanical_energy[0] - run.mechanical_energy
@@ -607,7 +609,7 @@ def test_joints_of_all_sorts_remember_and_work_each_for_itself():
 
 
 def test_bushing_and_friction_work_each_for_itself():
-    rubber = sj.Bushing(law=sj.VectorElastomer(1e5, 1e-3))
+    rubber = sj.Bushing(law=sj.laws.VectorElastomer(1e5, 1e-3))
     swapped = sound(chain(rubber, sj.Ideal(sj.Threlfall(0.2, 1e-2), 0.02)), np.linspace(0.0, 0.05, 3), track_work=True)
     lost = swapped.mechanical_energy[0] - swapped.mechanical_energy
     taken = swapped.dissipated_energy("elbow") + swapped.dissipated_energy("shoulder")
@@ -619,7 +621,7 @@ def test_runs_side_by_side_and_on_array_code_are_those_by_themselves():
     ts = jnp.linspace(0, 0.1, 3)
 
     def end(mu, **options):
-        model = sj.Ideal(sj.BrownMcPhee(mu, 1.5 * mu, 1e-2), RADIUS, sj.UniformPressure(), preload=0.01)
+        model = sj.Ideal(sj.BrownMcPhee(mu, 1.5 * mu, 1e-2), RADIUS, sj.laws.UniformPressure(), preload=0.01)
         return sj.simulate(spinning_ball(model, (3.0, 0.0, 4.0), inertia=1e-3), ts, **options).ys[-1]
 
     mus = jnp.array([0.05, 0.1, 0.2])
@@ -638,7 +640,7 @@ def test_stiff_friction_is_left_to_a_stiff_method():
 @pytest.mark.parametrize("model", [sj.Ideal(), sj.Dry(clearance=1e-4, friction=sj.LuGre())])
 def test_nothing_is_compiled_in_without_friction(model):
     """The right-hand side is what it is by bodies, loads and constraints alone, operation by operation."""
-    system = sj.compile_scene(sj.gallery.four_bar(model), track_work=True).system
+    system = sj.equations.compile_scene(sj.gallery.four_bar(model), track_work=True).system
     structure, theta = flatten_system(system)
 
     def plain(system, t, y):
@@ -661,16 +663,16 @@ def test_nothing_is_compiled_in_without_friction(model):
         return str(jax.make_jaxpr(lambda theta, t, y: function(structure.system(theta), t, y))(theta, 0.0, y))
 
     assert text(dynamics.state_rate) == text(plain)
-    rubbing = sj.compile_scene(sj.gallery.four_bar(sj.Ideal(sj.Threlfall(), RADIUS)), track_work=True).system
+    rubbing = sj.equations.compile_scene(sj.gallery.four_bar(sj.Ideal(sj.Threlfall(), RADIUS)), track_work=True).system
     # The work that the joint absorbs, and that of the constraint forces, beside friction that dissipates.
-    assert rubbing.layout.size == sj.compile_scene(sj.gallery.four_bar()).system.layout.size + 2
+    assert rubbing.layout.size == sj.equations.compile_scene(sj.gallery.four_bar()).system.layout.size + 2
 
 
 # Files ---------------------------------------------------------------------------------------------------------------
 
 
 def test_files_give_the_joint_back(tmp_path):
-    model = sj.Ideal(sj.LuGre(), 0.012, sj.UniformPressure(), preload=0.5, passes=5)
+    model = sj.Ideal(sj.LuGre(), 0.012, sj.laws.UniformPressure(), preload=0.5, passes=5)
     path = tmp_path / "chain.toml"
     sj.save_scene(chain(model, sj.Ideal()), path)
     text = path.read_text()

@@ -16,7 +16,7 @@ from spherejax.motion.equations.observables import Observation, observe
 from spherejax.motion.equations.programs import program_for
 
 # Bodies are given general velocities, and those that the joints allow are left to them.
-pytestmark = pytest.mark.filterwarnings("ignore::spherejax.StartWarning")
+pytestmark = pytest.mark.filterwarnings("ignore::spherejax.errors.StartWarning")
 
 Y, Z = (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 DOPRI8 = diffrax.Dopri8()
@@ -47,11 +47,11 @@ def everything():
         "prismatic": sj.Prismatic(("c", "d"), at["cd"], (1.0, 0.0, 1.0)),
         "fixed": sj.Fixed(("d", "e"), at["de"]),
         "spherical": sj.Spherical("e.right", "f.left"),
-        "plane": sj.PointOnPlane("f.right", at["fg"], (0.2, 1.0, 0.1)),
-        "circle": sj.PointOnCurve("g.right", sj.Circle((1.4, 0.0, 0.5), Y, 0.5)),
-        "rod": sj.Distance("f.left", "g.right"),
+        "plane": sj.joints.PointOnPlane("f.right", at["fg"], (0.2, 1.0, 0.1)),
+        "circle": sj.joints.PointOnCurve("g.right", sj.joints.Circle((1.4, 0.0, 0.5), Y, 0.5)),
+        "rod": sj.joints.Distance("f.left", "g.right"),
     }
-    return sj.Scene(bodies, joints, drift=sj.Projection())
+    return sj.Scene(bodies, joints, drift=sj.solvers.Projection())
 
 
 @pytest.mark.slow
@@ -74,9 +74,9 @@ def test_every_joint_in_one_mechanism():
 # Equivalent mechanisms -----------------------------------------------------------------------------------------------
 
 
-def seen(scene) -> tuple[sj.System, Observation]:
+def seen(scene) -> tuple[sj.equations.System, Observation]:
     """Accelerations, reactions and energies at the start, computed without compiling anything."""
-    system = sj.compile_scene(scene).system
+    system = sj.equations.compile_scene(scene).system
     structure, theta = flatten_system(system)
     return system, program_for(observe, structure).compute(theta, 0.0, assembled(system))
 
@@ -103,11 +103,11 @@ def spun(joints, **bodies):
         angular_velocity=(1.0, 2.0, 3.0),
         points=points,
     )
-    return sj.Scene({"body": body, **bodies}, joints, drift=sj.Projection())
+    return sj.Scene({"body": body, **bodies}, joints, drift=sj.solvers.Projection())
 
 
 PAIR, AT, ALONG = ("ground", "body"), (0.0, 0.05, 0.0), (1.0, 1.0, 0.5)
-STILL = sj.Linear(0.0)
+STILL = sj.functions.Linear(0.0)
 LEFT = np.array([0.1, 0.02, -0.03]) + rotation_matrix(jnp.array(TURNED)) @ np.array([-0.1, 0.03, 0.0])
 EQUIVALENT = {
     "revolute": (
@@ -123,31 +123,34 @@ EQUIVALENT = {
         {"r": sj.Revolute(PAIR, AT, ALONG), "stop": sj.RotationDriver(PAIR, ALONG, STILL)},
     ),
     "orientation and place": (
-        {"o": sj.SameOrientation(PAIR, AT), "s": sj.Spherical("ground.left", "body.left")},
+        {"o": sj.joints.SameOrientation(PAIR, AT), "s": sj.Spherical("ground.left", "body.left")},
         {"f": sj.Fixed(PAIR, LEFT)},
     ),
     "parallel axes and place": (
-        {"p": sj.ParallelAxes(PAIR, AT, ALONG), "s": sj.Spherical("ground.left", "body.left")},
+        {"p": sj.joints.ParallelAxes(PAIR, AT, ALONG), "s": sj.Spherical("ground.left", "body.left")},
         {"r": sj.Revolute(PAIR, LEFT, ALONG)},
     ),
     "perpendicular axes and place": (
-        {"p": sj.PerpendicularAxes(PAIR, AT, ALONG, (1.0, -1.0, 0.0)), "s": sj.Spherical("ground.left", "body.left")},
+        {
+            "p": sj.joints.PerpendicularAxes(PAIR, AT, ALONG, (1.0, -1.0, 0.0)),
+            "s": sj.Spherical("ground.left", "body.left"),
+        },
         {"u": sj.Universal(PAIR, LEFT, ALONG, (1.0, -1.0, 0.0))},
     ),
     "line": (
-        {"l": sj.PointOnCurve("body.left", sj.Line(AT, ALONG))},
+        {"l": sj.joints.PointOnCurve("body.left", sj.joints.Line(AT, ALONG))},
         {
-            "one": sj.PointOnPlane("body.left", AT, (1.0, -1.0, 0.0)),
-            "other": sj.PointOnPlane("body.left", AT, (1.0, 1.0, -4.0)),
+            "one": sj.joints.PointOnPlane("body.left", AT, (1.0, -1.0, 0.0)),
+            "other": sj.joints.PointOnPlane("body.left", AT, (1.0, 1.0, -4.0)),
         },
     ),
     "circle": (
-        {"c": sj.PointOnCurve("body.left", sj.Circle(AT, ALONG, 0.2))},
-        {"r": sj.PointOnPlane("body.left", AT, ALONG), "d": sj.Distance("ground.at", "body.left", 0.2)},
+        {"c": sj.joints.PointOnCurve("body.left", sj.joints.Circle(AT, ALONG, 0.2))},
+        {"r": sj.joints.PointOnPlane("body.left", AT, ALONG), "d": sj.joints.Distance("ground.at", "body.left", 0.2)},
     ),
     "three drivers": (
         {
-            "p": sj.PositionDriver(
+            "p": sj.joints.PositionDriver(
                 "body.left", lambda t: jnp.asarray(LEFT) + jnp.stack([t * t, jnp.sin(t), jnp.expm1(t)])
             )
         },
@@ -209,10 +212,10 @@ def test_fixed_bodies_are_one():
 
 def hanging(link_joints, **bodies):
     """A block that hangs by its left end from a link of 0.3 m, and slides with its right end on a wall."""
-    joints = {"wall": sj.PointOnPlane("body.right", (0.5, 0.0, 0.0), (1.0, 0.2, 0.0)), **link_joints}
+    joints = {"wall": sj.joints.PointOnPlane("body.right", (0.5, 0.0, 0.0), (1.0, 0.2, 0.0)), **link_joints}
     body = block(0.4, velocity=(0.0, 0.3, 0.4))
     pegs = {"peg": (0.0, 0.0, 0.0)}
-    return sj.Scene({"body": body, **bodies}, joints, ground_points=pegs, drift=sj.Projection())
+    return sj.Scene({"body": body, **bodies}, joints, ground_points=pegs, drift=sj.solvers.Projection())
 
 
 def link(mass):
@@ -224,11 +227,11 @@ def link(mass):
 
 MASSLESS = {
     "rod": (
-        {"link": sj.Distance("ground.peg", "body.left")},
+        {"link": sj.joints.Distance("ground.peg", "body.left")},
         {"one": sj.Spherical("ground.peg", "link.start"), "link": sj.Spherical("link.end", "body.left")},
     ),
     "arm": (
-        {"link": sj.PointOnCurve("body.left", sj.Circle((0.0, 0.0, 0.0), Y, 0.3))},
+        {"link": sj.joints.PointOnCurve("body.left", sj.joints.Circle((0.0, 0.0, 0.0), Y, 0.3))},
         {"one": sj.Revolute(("ground", "link"), "ground.peg", Y), "link": sj.Spherical("link.end", "body.left")},
     ),
 }
@@ -262,4 +265,4 @@ def test_motion_of_a_massless_rod_is_the_limit_of_a_light_one():
 
 def test_a_massless_body_is_refused_with_remedies():
     with pytest.raises(sj.SceneError, match=r"mass = 0.*Distance.*PointOnCurve.*Circle.*small mass"):
-        sj.compile_scene(sj.Scene({"rod": sj.Body(0.0, (1.0, 1.0, 1.0))}))
+        sj.equations.compile_scene(sj.Scene({"rod": sj.Body(0.0, (1.0, 1.0, 1.0))}))

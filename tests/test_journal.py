@@ -9,7 +9,7 @@ import pytest
 
 import spherejax as sj
 
-CYLINDER = sj.JohnsonCylinder(0.02)
+CYLINDER = sj.laws.JohnsonCylinder(0.02)
 TS = jnp.linspace(0.0, 0.012, 121)
 """One turn of the crank."""
 
@@ -19,7 +19,7 @@ def dry(clearance=5e-4, **numbers):
 
 
 def oiled(clearance=5e-4, film=None, **numbers):
-    film = sj.ShortBearing(0.02) if film is None else film
+    film = sj.laws.ShortBearing(0.02) if film is None else film
     return sj.Lubricated(clearance, 0.4, film=film, conformity=CYLINDER, **numbers)
 
 
@@ -51,7 +51,7 @@ def test_a_journal_stays_in_its_bearing_and_parallel_to_it(played):
     for body in ("rod", "piston"):
         q = np.asarray(played.quaternion(body))
         assert np.abs(q[:, [1, 3]]).max() < 1e-8
-    assert {"FLIGHT", "IMPACT"} <= {sj.Mode(m).name for m in np.asarray(played.mode("pin"))}
+    assert {"FLIGHT", "IMPACT"} <= {sj.results.Mode(m).name for m in np.asarray(played.mode("pin"))}
 
 
 def test_the_reaction_moves_the_piston(played):
@@ -67,7 +67,7 @@ def test_energy_that_is_lost_is_absorbed_by_the_pin(played):
     assert "energy" in played.audit
 
 
-@pytest.mark.filterwarnings("ignore::spherejax.OutOfRangeWarning")  # pressed deeper than Johnson's formula goes
+@pytest.mark.filterwarnings("ignore::spherejax.errors.OutOfRangeWarning")  # pressed deeper than Johnson's formula goes
 def test_less_clearance_is_nearer_to_the_ideal_motion(ideal):
     away = [
         np.abs(np.asarray(run_of(dry(c)).position("piston") - ideal.position("piston"))).max()
@@ -114,7 +114,7 @@ def test_a_free_pair_with_play_keeps_its_momenta():
         ("first", "second"), (0.05, 0.0, 0.0), (0.0, 1.0, 0.2), dry(friction=sj.Threlfall(0.2)), starts_concentric=False
     )
     scene = sj.Scene({"first": first, "second": second}, {"pair": joint}, gravity=(0.0, 0.0, 0.0))
-    with pytest.warns(sj.StartWarning):  # the velocities are made to agree with the joint
+    with pytest.warns(sj.errors.StartWarning):  # the velocities are made to agree with the joint
         run = sj.simulate(scene, jnp.linspace(0.0, 0.05, 11), rtol=1e-10, throw=True)
     linear, angular = momenta(run)
     assert int(run.stats.n_onsets[0]) > 0
@@ -159,7 +159,7 @@ def test_a_second_point_is_closed_and_said():
     """A wheel that is described 5 cm off its axle is moved there, and a warning names it."""
     wheel = sj.Body(1.0, (1.0, 1.0, 1.0), (0.3, 0.05, 0.0), points={"hub": (0.0, 0.0, 0.0)})
     joint = sj.Revolute(("ground", "wheel"), (0.3, 0.0, 0.0), (0.0, 1.0, 0.0), second_point="wheel.hub")
-    with pytest.warns(sj.StartWarning, match="wheel"):
+    with pytest.warns(sj.errors.StartWarning, match="wheel"):
         run = sj.simulate(sj.Scene({"wheel": wheel}, {"axle": joint}), np.array([0.0, 0.1]))
     np.testing.assert_allclose(run.position("wheel"), [[0.3, 0.0, 0.0]] * 2, atol=1e-9)
 
@@ -168,13 +168,19 @@ def test_a_second_point_is_closed_and_said():
     ("joint", "words"),
     [
         (lambda: sj.gallery.piston(sj.Dry(1e-4)), "joint 'pin': conformity.*JohnsonCylinder"),
-        (lambda: sj.gallery.piston(sj.Dry(1e-4, conformity=sj.SphericalProfile())), "be of a journal in its bearing"),
+        (
+            lambda: sj.gallery.piston(sj.Dry(1e-4, conformity=sj.laws.SphericalProfile())),
+            "be of a journal in its bearing",
+        ),
         (lambda: sj.gallery.piston(sj.Lubricated(1e-4, conformity=CYLINDER)), r"film.*ShortBearing"),
         (lambda: sj.gallery.piston(dry(-1e-4)), "joint 'pin': clearance"),
-        (lambda: sj.gallery.piston(sj.Dry(1e-4, conformity=sj.EsduCylinder(0.0))), r"EsduCylinder\.length"),
-        (lambda: sj.gallery.piston(oiled(film=sj.LongBearing(-1.0))), "length"),
+        (lambda: sj.gallery.piston(sj.Dry(1e-4, conformity=sj.laws.EsduCylinder(0.0))), r"EsduCylinder\.length"),
+        (lambda: sj.gallery.piston(oiled(film=sj.laws.LongBearing(-1.0))), "length"),
         (lambda: sj.gallery.four_bar(dry()), "be of a ball in its socket"),
-        (lambda: sj.gallery.four_bar(sj.Lubricated(1e-4, film=sj.ShortBearing(0.01))), "be of a ball in its socket"),
+        (
+            lambda: sj.gallery.four_bar(sj.Lubricated(1e-4, film=sj.laws.ShortBearing(0.01))),
+            "be of a ball in its socket",
+        ),
     ],
 )
 def test_laws_of_the_other_kind_of_joint_are_refused(joint, words):
@@ -187,7 +193,7 @@ def test_a_bearing_film_needs_a_condition_for_every_direction():
         oiled(boundary=sj.PinkusSternlicht())
 
 
-@pytest.mark.parametrize("model", [dry(friction=sj.LuGre()), oiled(), oiled(film=sj.LongBearing(0.05))])
+@pytest.mark.parametrize("model", [dry(friction=sj.LuGre()), oiled(), oiled(film=sj.laws.LongBearing(0.05))])
 def test_journals_go_through_files(tmp_path, model):
     scene = sj.gallery.piston(model)
     sj.save_scene(scene, tmp_path / "piston.toml")
@@ -209,7 +215,7 @@ def test_lanes_make_the_runs_that_simulate_makes():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("film", [sj.ShortBearing(0.02), sj.LongBearing(0.04)])
+@pytest.mark.parametrize("film", [sj.laws.ShortBearing(0.02), sj.laws.LongBearing(0.04)])
 def test_derivatives_through_a_bearing_agree_with_differences(film):
     def place(c):
         run = sj.simulate(sj.gallery.piston(oiled(c, film)), jnp.array([0.0, 0.003]), rtol=1e-10)
@@ -227,7 +233,7 @@ def test_derivatives_through_a_bearing_agree_with_differences(film):
 def loaded_rotor(**film):
     """A heavy rotor at 3,000 rpm in a short bearing: D = 10 mm, L = 5 mm, c = 5 um, 0.01 Pa s, 60 N."""
     model = sj.Lubricated(
-        5e-6, 0.01, socket_radius=5e-3, normal=sj.Hertz(stiffness=1e9), film=sj.ShortBearing(5e-3), **film
+        5e-6, 0.01, socket_radius=5e-3, normal=sj.Hertz(stiffness=1e9), film=sj.laws.ShortBearing(5e-3), **film
     )
     rotor = sj.Body(0.1, (10.0, 10.0, 10.0), angular_velocity=(0.0, 0.0, 100 * math.pi))
     return sj.Scene(
@@ -258,10 +264,12 @@ def test_a_loaded_journal_of_any_clearance_runs_where_ocvirk_has_it(film, within
 
 
 def test_a_film_offset_that_is_large_against_the_clearance_is_said():
-    with pytest.warns(sj.OutOfRangeWarning, match=r"bearing.*e_h1 of a film is more than a twentieth of the clearance"):
+    with pytest.warns(
+        sj.errors.OutOfRangeWarning, match=r"bearing.*e_h1 of a film is more than a twentieth of the clearance"
+    ):
         run = sj.simulate(loaded_rotor(e_h1=2e-6), np.linspace(0.0, 0.01, 3))
     assert "leave e_h1 and e_h0 out" in run.audit
-    with pytest.warns(sj.OutOfRangeWarning, match="e_h1 of a film"):
+    with pytest.warns(sj.errors.OutOfRangeWarning, match="e_h1 of a film"):
         sj.simulate_many(lambda e: loaded_rotor(e_h1=e), {"e": np.array([1e-7, 2e-6])}, np.array([0.0, 1e-3]))
 
 

@@ -87,7 +87,7 @@ def test_two_contacts_in_a_scene_do_not_disturb_each_other():
     assert float(jnp.max(jnp.abs(difference))) < 1e-6 * CLEARANCE
 
 
-@pytest.mark.filterwarnings("ignore::spherejax.SerialRunsWarning")  # each run has times of its own
+@pytest.mark.filterwarnings("ignore::spherejax.errors.SerialRunsWarning")  # each run has times of its own
 def test_no_step_is_so_long_that_its_stages_leave_the_contact():
     """Of a free impact the closed form is known. A first step of fifty times the contact's duration went through."""
 
@@ -106,10 +106,10 @@ def test_no_step_is_so_long_that_its_stages_leave_the_contact():
     chis, speeds = np.repeat(np.geomspace(0.02, 60.0, 40), 3), np.tile([0.02, 0.1, 0.7], 40)
     found, status = jax.jit(jax.vmap(restitution))(jnp.asarray(chis), jnp.asarray(speeds))
     np.testing.assert_array_equal(status, 0)
-    np.testing.assert_allclose(found, [sj.realized_restitution(chi) for chi in chis], rtol=0, atol=2e-6)
+    np.testing.assert_allclose(found, [sj.laws.realized_restitution(chi) for chi in chis], rtol=0, atol=2e-6)
 
 
-class Damped(sj.AbstractHysteresisLaw):
+class Damped(sj.laws.AbstractHysteresisLaw):
     """The law with a given chi."""
 
     chi: float

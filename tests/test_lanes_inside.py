@@ -61,7 +61,9 @@ def test_the_first_step_is_the_same_by_looks_and_by_diffrax(joint, solver):
 
     ts, scales = jnp.array([0.0, 0.1]), jnp.array([1.0, 2.0, 0.5])
     first = [
-        sj.simulate_many(build, scales, ts, solver=solver, max_steps=1, block=sj.Block(width, width)).trajectories
+        sj.simulate_many(
+            build, scales, ts, solver=solver, max_steps=1, block=sj.solvers.Block(width, width)
+        ).trajectories
         for width in (1, 3)
     ]
     for runs in first:
@@ -74,7 +76,7 @@ def test_looks_are_not_counted_and_leave_no_trace():
     build = partial(sj.gallery.four_bar, sj.Dry(1e-4))
     ts = jnp.array([0.0, 0.02, 0.04])
     alone = sj.simulate(build(), ts)
-    queued = sj.simulate_many(lambda _: build(), jnp.zeros(3), ts, block=sj.Block(2, 2)).trajectories
+    queued = sj.simulate_many(lambda _: build(), jnp.zeros(3), ts, block=sj.solvers.Block(2, 2)).trajectories
     for name in ("n_accepted", "n_rejected", "n_onsets"):
         assert np.array_equal(np.asarray(getattr(queued.stats, name))[1], getattr(alone.stats, name)), name
     # The energy that is lost is rounding here: 5e-9 of what is allowed.
@@ -122,7 +124,7 @@ def test_a_block_of_which_few_may_run_looks_before_it_narrows():
 def test_the_audit_begins_with_the_start_and_not_with_a_look():
     """What is looked at at the ends of looks is no motion: driven joints gape there."""
     bodies, axis = ("ground", "rod"), (0.0, 1.0, 0.0)
-    motor = sj.RotationDriver(bodies, axis, angle=sj.Linear(slope=1.0))
+    motor = sj.RotationDriver(bodies, axis, angle=sj.functions.Linear(slope=1.0))
     joints = {"hinge": sj.Revolute(bodies, (0.0, 0.0, 0.0), axis), "motor": motor}
     motion = {"velocity": (0.0, 0.0, -0.3), "angular_velocity": (0.0, 1.0, 0.0)}
     rod = sj.Body(1.0, (1e-2, 1e-2, 1e-3), position=(0.3, 0.0, 0.0), **motion)
@@ -141,7 +143,9 @@ def test_how_often_a_run_is_sampled_says_nothing_of_its_steps(joint):
     scene = sj.gallery.four_bar(JOINTS[joint])
     ts = jnp.linspace(0.0, 0.02, 4001)
     often, seldom = (sj.simulate(scene, ts[::every], rtol=1e-6) for every in (1, 500))
-    lanes = sj.simulate_many(lambda _: scene, jnp.zeros(3), ts[::500], rtol=1e-6, block=sj.Block(2)).trajectories
+    lanes = sj.simulate_many(
+        lambda _: scene, jnp.zeros(3), ts[::500], rtol=1e-6, block=sj.solvers.Block(2)
+    ).trajectories
     assert often.stats.n_steps < 2000  # of its 4,000 samples more than one lie in a step
     for name in ("n_accepted", "n_rejected", "n_onsets"):
         assert np.array_equal(getattr(often.stats, name), getattr(seldom.stats, name)), name
@@ -158,7 +162,9 @@ def test_jobs_that_may_not_be_made_are_written_down_wherever_they_wait(width, na
         return sj.Scene({"ball": sj.Body(mass, (1.0, 1.0, 1.0))}, {})
 
     masses = jnp.concatenate([jnp.array([1.0, -1.0, -1.0, -1.0, -1.0, 2.0, 1.0]), -jnp.ones(2 * width)])
-    runs = sj.simulate_many(build, masses, jnp.array([0.0, 0.1, 0.2]), block=sj.Block(width, narrow)).trajectories
+    runs = sj.simulate_many(
+        build, masses, jnp.array([0.0, 0.1, 0.2]), block=sj.solvers.Block(width, narrow)
+    ).trajectories
     expected = np.where(masses > 0, sj.Status.SUCCEEDED, sj.Status.BAD_VALUE)
     assert np.array_equal(runs.status, expected)
     assert np.array_equal(np.isfinite(np.asarray(runs.ys)[:, -1]).all(axis=-1), masses > 0)

@@ -19,7 +19,7 @@ FEW = settings(max_examples=40, deadline=None, derandomize=True, database=None)
 
 STIFFNESS = 1e10  # N/m**1.5
 STATIC = {name: law for name, law in cases.FRICTION_LAWS.items() if isinstance(law, AbstractStaticFriction)}
-FILMS = [(sj.FullFilm(), sj.Guembel()), (sj.RadialFilm(), sj.Guembel())]
+FILMS = [(sj.laws.FullFilm(), sj.Guembel()), (sj.laws.RadialFilm(), sj.Guembel())]
 
 
 def numbers(least, largest):

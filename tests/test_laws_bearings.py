@@ -105,7 +105,7 @@ def steady(film, eps, gap=GAP):
 @pytest.mark.parametrize("eps", [0.1, 0.5, 0.9])
 def test_a_steady_short_bearing_is_that_of_ocvirk(eps):
     length, (c, radius, viscosity, *_) = 0.01, GAP
-    action = steady(sj.ShortBearing(length), eps)
+    action = steady(sj.laws.ShortBearing(length), eps)
     size = viscosity * SPEED * radius * length**3 / (4 * c**2) * eps / (1 - eps**2) ** 2
     load = size * math.sqrt(16 * eps**2 + math.pi**2 * (1 - eps**2))
     assert float(jnp.linalg.norm(action.force)) == pytest.approx(load, rel=1e-12)
@@ -116,17 +116,17 @@ def test_a_steady_short_bearing_is_that_of_ocvirk(eps):
 @pytest.mark.parametrize("eps", [0.1, 0.5, 0.9])
 def test_a_steady_long_bearing_is_half_of_sommerfelds(eps):
     length, (c, radius, viscosity, *_) = 0.08, GAP
-    action = steady(sj.LongBearing(length), eps)
+    action = steady(sj.laws.LongBearing(length), eps)
     size = 6 * viscosity * SPEED * radius**3 * length / c**2 * eps / (2 + eps**2)
     np.testing.assert_allclose(
         action.force[:2], [-2 * size * eps / (1 - eps**2), size * math.pi / math.sqrt(1 - eps**2)], rtol=1e-9
     )
-    whole = steady(sj.LongBearing(length), eps, GAP._replace(boundary=sj.Sommerfeld())).force
+    whole = steady(sj.laws.LongBearing(length), eps, GAP._replace(boundary=sj.Sommerfeld())).force
     np.testing.assert_allclose(whole[:2], [0.0, 2 * float(action.force[1])], rtol=1e-9, atol=1e-9 * size)
 
 
 @pytest.mark.parametrize("boundary", [sj.Guembel(), sj.Sommerfeld()])
-@pytest.mark.parametrize("film", [sj.ShortBearing(0.01), sj.LongBearing(0.08)])
+@pytest.mark.parametrize("film", [sj.laws.ShortBearing(0.01), sj.laws.LongBearing(0.08)])
 def test_a_bearing_film_keeps_angular_momentum_and_takes_power(film, boundary):
     random = np.random.default_rng(3)
     gap = GAP._replace(boundary=boundary)
@@ -158,7 +158,7 @@ def test_a_bearing_film_keeps_angular_momentum_and_takes_power(film, boundary):
 # Contact of cylinders ------------------------------------------------------------------------------------------------
 
 PAIR = Pair(5e-4, 0.010, 2 * sj.Material().contact_compliance())
-CYLINDERS = {"johnson": (sj.JohnsonCylinder(0.02), -1.0), "esdu": (sj.EsduCylinder(0.02), 1.0)}
+CYLINDERS = {"johnson": (sj.laws.JohnsonCylinder(0.02), -1.0), "esdu": (sj.laws.EsduCylinder(0.02), 1.0)}
 
 
 @pytest.mark.parametrize("name", CYLINDERS)

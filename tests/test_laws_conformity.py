@@ -14,10 +14,10 @@ import spherejax as sj
 from spherejax.physics.laws.conformity import LARGEST_HERTZIAN_RATIO, Pair, PressedPair
 
 STEEL = sj.Material()
-LINER = sj.WinklerLiner(youngs_modulus=0.8e9, poissons_ratio=0.46, thickness=5e-3)
-PROFILE = sj.SphericalProfile()
+LINER = sj.laws.WinklerLiner(youngs_modulus=0.8e9, poissons_ratio=0.46, thickness=5e-3)
+PROFILE = sj.laws.SphericalProfile()
 LAWS = {"profile": PROFILE, "liner": LINER}
-beyond_eq_24 = pytest.mark.filterwarnings("ignore::spherejax.OutOfRangeWarning")
+beyond_eq_24 = pytest.mark.filterwarnings("ignore::spherejax.errors.OutOfRangeWarning")
 RATIOS = (1e-9, 1e-6, 1e-3, 0.01, 0.1, 0.5, 1.0, 3.0)
 
 
@@ -106,7 +106,7 @@ def test_without_contact_there_is_neither_force_nor_derivative(name, depth):
 
 def test_the_profile_tends_to_hertz_and_parts_from_it_where_the_warning_begins():
     surfaces = pair(1e-4)
-    stiffness = float(sj.generalized_stiffness(0.010, 0.0099, STEEL, STEEL))
+    stiffness = float(sj.laws.generalized_stiffness(0.010, 0.0099, STEEL, STEEL))
 
     def share(ratio):
         depth = ratio * 1e-4
@@ -153,8 +153,10 @@ def test_bad_conformity_is_refused_before_anything_is_computed():
         with pytest.raises(sj.SceneError, match=words):
             sj.simulate(sj.gallery.four_bar(model), jnp.linspace(0, 0.1, 3))
 
-    refused(sj.Dry(1e-4, conformity=sj.WinklerLiner(1e9, 0.5, 1e-3)), r"WinklerLiner\.poissons_ratio.*incompressible")
-    refused(sj.Dry(1e-4, conformity=sj.WinklerLiner(1e9, 0.4, 0.0)), r"WinklerLiner\.thickness")
+    refused(
+        sj.Dry(1e-4, conformity=sj.laws.WinklerLiner(1e9, 0.5, 1e-3)), r"WinklerLiner\.poissons_ratio.*incompressible"
+    )
+    refused(sj.Dry(1e-4, conformity=sj.laws.WinklerLiner(1e9, 0.4, 0.0)), r"WinklerLiner\.thickness")
     stiff = sj.Flores(0.9, stiffness=1e11)
     refused(sj.Dry(1e-4, normal=stiff, conformity=PROFILE), "stiffness.*not be given beside a SphericalProfile")
     refused(sj.Dry(1e-4, normal=sj.Hertz(exponent=1.2)), r"exponent = 1.2 must be 1.5 without a stiffness")
@@ -189,7 +191,7 @@ def held(normal, load=20e3, ramp=0.05):
 def test_a_held_contact_is_pressed_in_as_far_as_its_load_presses_it():
     ts = jnp.array([0.0, 0.05, 0.1])
     run = sj.simulate(held(None), ts, throw=True)
-    assert isinstance(run.system.spherical("joint").model.normal, sj.HuntCrossleyDissipation)
+    assert isinstance(run.system.spherical("joint").model.normal, sj.laws.HuntCrossleyDissipation)
     assert float(run.part("joint", "penetration")[-1]) == pytest.approx(26.0e-6, rel=1e-2)
     # By the onset's rate it creeps for seconds: what the memory-free law is for.
     slow = sj.simulate(held(sj.LankaraniNikravesh(0.9)), ts, throw=True)
@@ -199,7 +201,7 @@ def test_a_held_contact_is_pressed_in_as_far_as_its_load_presses_it():
 @beyond_eq_24
 def test_dissipation_restores_less_of_faster_impacts():
     def restored(speed, alpha=0.5):
-        law = sj.HuntCrossleyDissipation(dissipation=alpha)
+        law = sj.laws.HuntCrossleyDissipation(dissipation=alpha)
         scene = cases.ball_in_socket(sj.Dry(1e-4, normal=law), velocity=(0.0, 0.0, speed))
         run = sj.simulate(scene, jnp.array([0.0, 1.9 * 1e-4 / speed]), rtol=1e-10, throw=True)
         return -float(run.velocity("ball")[-1, 2]) / speed
@@ -207,13 +209,13 @@ def test_dissipation_restores_less_of_faster_impacts():
     assert restored(1e-3) == pytest.approx(1 - 0.5e-3, abs=1e-6)
     # Without memory the closed form holds with chi = 1.5 alpha v.
     for speed in (0.1, 1.0):
-        assert restored(speed) == pytest.approx(sj.realized_restitution(1.5 * 0.5 * speed), rel=1e-6)
+        assert restored(speed) == pytest.approx(sj.laws.realized_restitution(1.5 * 0.5 * speed), rel=1e-6)
     assert restored(0.1, alpha=0.0) == pytest.approx(1.0, abs=1e-7)
 
 
 @beyond_eq_24
 def test_metals_that_yield_restore_less_of_faster_impacts():
-    law = sj.ExactRestitution(restitution=sj.PowerTail(0.9, 0.05))
+    law = sj.ExactRestitution(restitution=sj.functions.PowerTail(0.9, 0.05))
     for speed, expected in ((0.02, 0.9), (0.05, 0.9), (0.8, 0.45)):
         assert float(law.at_onset(speed).restitution) == pytest.approx(expected, rel=1e-14)
         scene = cases.ball_in_socket(sj.Dry(1e-4, normal=law), velocity=(0.0, 0.0, speed))
@@ -229,10 +231,13 @@ def test_a_restitution_must_lie_between_zero_and_one_at_any_speed():
             sj.gallery.four_bar(sj.Dry(1e-4, normal=sj.Flores(lambda v: 1.2 - 0.0 * v))), jnp.linspace(0, 0.1, 3)
         )
     with pytest.raises(sj.SceneError, match=r"restitution\.start"):
-        sj.simulate(sj.gallery.four_bar(sj.Dry(1e-4, normal=sj.Flores(sj.PowerTail(0.9, -1.0)))), jnp.linspace(0, 1, 3))
+        sj.simulate(
+            sj.gallery.four_bar(sj.Dry(1e-4, normal=sj.Flores(sj.functions.PowerTail(0.9, -1.0)))),
+            jnp.linspace(0, 1, 3),
+        )
 
     def scene(value):
-        return sj.gallery.four_bar(sj.Dry(1e-4, normal=sj.Flores(sj.PowerTail(value, 0.05))))
+        return sj.gallery.four_bar(sj.Dry(1e-4, normal=sj.Flores(sj.functions.PowerTail(value, 0.05))))
 
     ended = jax.jit(lambda value: sj.simulate(scene(value), jnp.linspace(0, 1e-3, 2)).status)
     assert int(ended(0.9)) == sj.Status.SUCCEEDED
@@ -240,7 +245,7 @@ def test_a_restitution_must_lie_between_zero_and_one_at_any_speed():
 
 
 def test_a_yielding_restitution_stands_in_files(tmp_path):
-    scene = sj.gallery.four_bar(sj.Dry(1e-4, normal=sj.Gonthier(restitution=sj.PowerTail(0.9, 0.05))))
+    scene = sj.gallery.four_bar(sj.Dry(1e-4, normal=sj.Gonthier(restitution=sj.functions.PowerTail(0.9, 0.05))))
     sj.save_scene(scene, tmp_path / "yield.toml")
     text = (tmp_path / "yield.toml").read_text()
     assert 'kind = "power-tail"' in text

@@ -225,7 +225,7 @@ def motions(n: int):
 def test_a_pair_that_turns_as_one_feels_nothing(boundary):
     random = np.random.default_rng(5)
     spin, e = random.normal(size=3), 0.9 * C * UP
-    action = sj.FullFilm().action(FilmMotion(e, np.cross(spin, e), spin, spin), gap(boundary))
+    action = sj.laws.FullFilm().action(FilmMotion(e, np.cross(spin, e), spin, spin), gap(boundary))
     assert float(jnp.linalg.norm(action.force)) < 1e-10
     assert float(jnp.linalg.norm(action.ball_moment) + jnp.linalg.norm(action.socket_moment)) < 1e-14
 
@@ -233,7 +233,7 @@ def test_a_pair_that_turns_as_one_feels_nothing(boundary):
 @pytest.mark.parametrize("boundary", BOUNDARIES.values(), ids=BOUNDARIES)
 def test_angular_momentum_is_kept_and_no_power_comes_from_nowhere(boundary):
     motion = motions(4000)
-    action = jax.vmap(lambda m: sj.FullFilm().action(m, gap(boundary)))(motion)
+    action = jax.vmap(lambda m: sj.laws.FullFilm().action(m, gap(boundary)))(motion)
     total = jnp.cross(motion.e, action.force) + action.ball_moment + action.socket_moment
     assert float(jnp.max(jnp.linalg.norm(total, axis=1) / (C * jnp.linalg.norm(action.force, axis=1)))) < 1e-12
     assert float(jnp.min(action.pressure_power)) >= 0
@@ -247,7 +247,7 @@ def test_angular_momentum_is_kept_and_no_power_comes_from_nowhere(boundary):
 def test_derivatives_forward_reverse_and_by_differences_agree(boundary):
     def force(e, rate, spin, clearance):
         motion = FilmMotion(e, rate, spin, -0.5 * spin)
-        action = sj.FullFilm().action(motion, FilmGap(clearance, R, NU, 2e-6, boundary))
+        action = sj.laws.FullFilm().action(motion, FilmGap(clearance, R, NU, 2e-6, boundary))
         return jnp.concatenate([action.force, 1e3 * action.ball_moment, 1e3 * action.socket_moment])
 
     jacobians = [jax.jit(each(force, (0, 1, 2, 3))) for each in (jax.jacfwd, jax.jacrev)]
@@ -272,7 +272,7 @@ def test_derivatives_forward_reverse_and_by_differences_agree(boundary):
 @pytest.mark.parametrize("boundary", BOUNDARIES.values(), ids=BOUNDARIES)
 def test_values_and_derivatives_are_finite_everywhere(boundary):
     def force(e, rate):
-        action = sj.FullFilm().action(FilmMotion(e, rate, 0 * UP, 3 * UP), gap(boundary))
+        action = sj.laws.FullFilm().action(FilmMotion(e, rate, 0 * UP, 3 * UP), gap(boundary))
         return jnp.concatenate([action.force, action.ball_moment, action.socket_moment])
 
     found = jax.jit(
@@ -287,7 +287,7 @@ def test_values_and_derivatives_are_finite_everywhere(boundary):
 # In a joint ------------------------------------------------------------------------------------------------------
 
 
-def free_pair(film: sj.AbstractFilm) -> sj.Scene:
+def free_pair(film: sj.laws.AbstractFilm) -> sj.Scene:
     """Two bodies in flight, joined by a film; nothing else acts."""
     inertia = (2e-5, 3e-5, 2.5e-5)
     model = sj.Lubricated(clearance=C, viscosity=0.05, boundary=sj.Sommerfeld(), film=film)
@@ -307,7 +307,7 @@ def free_pair(film: sj.AbstractFilm) -> sj.Scene:
 def test_a_free_pair_keeps_its_momenta_and_loses_what_the_film_absorbs():
     # The relative motion of the centers ends within a microsecond, the relative spin much later.
     times = np.concatenate([[0.0], np.geomspace(1e-10, 0.02, 2000)])
-    run = sj.simulate(free_pair(sj.FullFilm()), times, rtol=1e-9)
+    run = sj.simulate(free_pair(sj.laws.FullFilm()), times, rtol=1e-9)
     assert run.succeeded
     masses, inertia = {"first": 0.2, "second": 0.1}, np.diag([2e-5, 3e-5, 2.5e-5])
     total, spin = np.zeros((len(times), 3)), np.zeros((len(times), 3))
@@ -336,21 +336,21 @@ def test_a_free_pair_keeps_its_momenta_and_loses_what_the_film_absorbs():
 
 
 def test_the_papers_film_has_no_moments():
-    action = sj.RadialFilm().action(FilmMotion(0.5 * C * UP, ACROSS + UP, UP, ACROSS), gap(sj.Guembel()))
+    action = sj.laws.RadialFilm().action(FilmMotion(0.5 * C * UP, ACROSS + UP, UP, ACROSS), gap(sj.Guembel()))
     assert float(jnp.linalg.norm(action.ball_moment) + jnp.linalg.norm(action.socket_moment)) == 0
     assert float(action.shear_power) == 0
     assert float(action.pressure_power) > 0
 
 
 def test_the_full_film_is_the_default_where_its_condition_has_one():
-    assert isinstance(sj.Lubricated(clearance=C).film, sj.FullFilm)
-    assert isinstance(sj.Lubricated(clearance=C, boundary=sj.Sommerfeld()).film, sj.FullFilm)
-    assert isinstance(sj.Lubricated(clearance=C, boundary=sj.PinkusSternlicht()).film, sj.RadialFilm)
+    assert isinstance(sj.Lubricated(clearance=C).film, sj.laws.FullFilm)
+    assert isinstance(sj.Lubricated(clearance=C, boundary=sj.Sommerfeld()).film, sj.laws.FullFilm)
+    assert isinstance(sj.Lubricated(clearance=C, boundary=sj.PinkusSternlicht()).film, sj.laws.RadialFilm)
 
 
 def test_a_condition_of_squeezing_alone_is_refused():
     with pytest.raises(sj.SceneError, match=r"PinkusSternlicht.*sj\.Guembel\(\)"):
-        sj.Lubricated(clearance=C, boundary=sj.PinkusSternlicht(), film=sj.FullFilm())
+        sj.Lubricated(clearance=C, boundary=sj.PinkusSternlicht(), film=sj.laws.FullFilm())
 
 
 @pytest.mark.slow
@@ -360,7 +360,7 @@ def test_a_condition_of_squeezing_alone_is_refused():
 def test_the_four_bar_rides_on_a_full_film(clearance, ratio, n_steps):
     """No bursts: the rocker's vertical acceleration peaks below the ideal run's, and tight runs agree."""
     times = jnp.linspace(0.0, 2.0, 2001)
-    scene = sj.gallery.four_bar(sj.Lubricated(clearance=clearance, viscosity=0.4, film=sj.FullFilm()))
+    scene = sj.gallery.four_bar(sj.Lubricated(clearance=clearance, viscosity=0.4, film=sj.laws.FullFilm()))
     run, tighter = (sj.simulate(scene, times, rtol=rtol) for rtol in (1e-8, 1e-10))
     assert run.succeeded
     assert int(run.stats.n_accepted) < n_steps

@@ -107,7 +107,7 @@ def test_a_double_pendulum_on_balls_swings_alike_in_all_planes():
 def on_rubber(**options):
     """A body whose center is in a bushing, without gravity."""
     model = sj.Bushing(
-        law=sj.MatrixElastomer(np.diag([1e4, 2e4, 3e4]), np.diag([10.0, 20.0, 30.0]), np.diag([5.0, 7.0, 9.0])),
+        law=sj.laws.MatrixElastomer(np.diag([1e4, 2e4, 3e4]), np.diag([10.0, 20.0, 30.0]), np.diag([5.0, 7.0, 9.0])),
         **options,
     )
     body = sj.Body(2.0, (1e-2, 2e-2, 2.5e-2), points={"ball": (0.0, 0.0, 0.0)})
@@ -143,7 +143,7 @@ def test_an_oscillator_on_a_bushing():
 
 def test_relaxing_rubber():
     """(m l^2 + k + c l)(l + 1/T) + k1 l = 0: a branch of stiffness k1 and time T makes each quadratic a cubic."""
-    lin = sj.linearize(on_rubber(branches=sj.Maxwell([5e3], [2e-3])))
+    lin = sj.linearize(on_rubber(branches=sj.laws.Maxwell([5e3], [2e-3])))
     found = lin.modes().eigenvalues
     for k in (1e4, 2e4, 3e4):
         cubic = np.polyadd(np.polymul([2.0, 1e-3 * k, k], [1.0, 1 / 2e-3]), [5e3, 0.0])
@@ -199,7 +199,9 @@ def test_a_conical_pendulum_in_axes_that_turn():
         points={"center": (0.0, 0.0, 0.0)},
     )
     scene = sj.Scene(
-        {"bob": bob}, {"rod": sj.Distance("ground.o", "bob.center", length)}, ground_points={"o": (0.0, 0.0, 0.0)}
+        {"bob": bob},
+        {"rod": sj.joints.Distance("ground.o", "bob.center", length)},
+        ground_points={"o": (0.0, 0.0, 0.0)},
     )
     lin = sj.linearize(scene, turning=(0.0, 0.0, speed))
     wanted = 1j * speed * np.sqrt(1 + 3 * np.cos(a) ** 2)
@@ -215,7 +217,7 @@ def test_a_pendulum_on_a_foundation_that_turns():
     """Foucault's: in axes that turn by W, rates +-sqrt(g/l) - W and +-sqrt(g/l) + W for a rod with free ends."""
     bob = sj.Body(1.0, (1e-2,) * 3, (0.0, 0.0, -2.0), points={"center": (0.0, 0.0, 0.0)})
     scene = sj.Scene(
-        {"bob": bob}, {"rod": sj.Distance("ground.o", "bob.center", 2.0)}, ground_points={"o": (0.0, 0.0, 0.0)}
+        {"bob": bob}, {"rod": sj.joints.Distance("ground.o", "bob.center", 2.0)}, ground_points={"o": (0.0, 0.0, 0.0)}
     )
     lin = sj.linearize(scene, turning=(0.0, 0.0, 0.01))
     w = np.sqrt(G / 2.0)
@@ -240,7 +242,7 @@ def test_a_driven_pendulum():
         {"disc": disc, "bob": bob},
         {
             "axle": sj.Revolute(("ground", "disc"), (0.0, 0.0, 0.0), Y),
-            "motor": sj.RotationDriver(("ground", "disc"), Y, sj.Polynomial([0.0, speed])),
+            "motor": sj.RotationDriver(("ground", "disc"), Y, sj.functions.Polynomial([0.0, speed])),
             "hinge": sj.Revolute(("disc", "bob"), (r, 0.0, 0.0), Y),
         },
         gravity=(0.0, 0.0, 0.0),

@@ -61,7 +61,7 @@ def test_matrices_are_those_of_mujocos_differences(tmp_path):
     axis = np.array(data.xaxis[0])
     A, B, C, D = per_second(mujoco, model, data, 6)
 
-    scene = sj.load_mjcf(path, positions=start["positions"], drift=sj.NoDriftControl())
+    scene = sj.load_mjcf(path, positions=start["positions"], drift=sj.solvers.NoDriftControl())
     scene = replace(scene, forces={**scene.forces, "motor": sj.AppliedWrench("b0")})
     moments = [f"forces.motor.moment.{letter}" for letter in "xyz"]
     lin = sj.linearize(scene, inputs=moments, outputs=["position.b4", "velocity.b4"])
@@ -98,7 +98,7 @@ def jacobians(mujoco, model, data, bodies, function=None):
 
 
 def rubber(damping: float) -> sj.Bushing:
-    return sj.Bushing(law=sj.VectorElastomer(2e4, damping))
+    return sj.Bushing(law=sj.laws.VectorElastomer(2e4, damping))
 
 
 def mounted() -> sj.Scene:

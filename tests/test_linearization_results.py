@@ -370,7 +370,7 @@ def driven():
         {"disc": sj.Body(1.0, (1e-2,) * 3, angular_velocity=(0.0, 3.0, 0.0))},
         {
             "axle": sj.Revolute(("ground", "disc"), (0.0, 0.0, 0.0), (0.0, 1.0, 0.0)),
-            "motor": sj.RotationDriver(("ground", "disc"), (0.0, 1.0, 0.0), sj.Polynomial([0.0, 3.0])),
+            "motor": sj.RotationDriver(("ground", "disc"), (0.0, 1.0, 0.0), sj.functions.Polynomial([0.0, 3.0])),
         },
     )
 
@@ -448,10 +448,10 @@ def test_a_kink_is_said():
         x = motions["body"].position[0]
         return jnp.array([1e3 * (x + 1e3 * x**2), 0.0, 0.0])
 
-    with pytest.warns(sj.LinearizationWarning, match="have a kink"):
+    with pytest.warns(sj.errors.LinearizationWarning, match="have a kink"):
         sj.linearize(scene(pushes))
     with warnings.catch_warnings():
-        warnings.simplefilter("error", sj.LinearizationWarning)
+        warnings.simplefilter("error", sj.errors.LinearizationWarning)
         sj.linearize(scene(smooth))
 
 

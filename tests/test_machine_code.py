@@ -462,7 +462,7 @@ def film(viscosity):
     return sj.simulate(sj.gallery.four_bar(sj.Lubricated(cases.C, viscosity)), TS, rtol=1e-9)
 
 
-@pytest.mark.parametrize("drift", [sj.Baumgarte(), sj.PostStabilization()])
+@pytest.mark.parametrize("drift", [sj.solvers.Baumgarte(), sj.solvers.PostStabilization()])
 @pytest.mark.parametrize("name", ["ideal", "friction", "bushing"])
 def test_an_explicit_run_is_what_xla_makes_of_it(name, drift, monkeypatch):
     """Through onsets, with every sample, and with as many steps but for some that rounding decides."""

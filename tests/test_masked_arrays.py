@@ -29,13 +29,13 @@ def simulated(scene):
         lambda: simulated(
             sj.Scene(
                 falling().bodies, {},
-                {"spring": sj.SpringDamper(("ground.o", "ball"), spring=sj.Table([0.0, 1.0, 2.0], MASKED))},
+                {"spring": sj.SpringDamper(("ground.o", "ball"), spring=sj.functions.Table([0.0, 1.0, 2.0], MASKED))},
                 ground_points={"o": (0, 0, 1)},
             )
         ),
         lambda: sj.simulate(falling(), np.ma.masked_array(TS, mask=[0, 1, 0])),
-        lambda: sj.zipped({"mass": MASKED}),
-        lambda: sj.random_samples({"mass": MASKED[1:]}, 4),
+        lambda: sj.studies.zipped({"mass": MASKED}),
+        lambda: sj.studies.random_samples({"mass": MASKED[1:]}, 4),
         lambda: sj.Measured(np.ma.masked_array(TS, mask=[0, 1, 0]), {"position.ball.z": [1.0, 2.0, 3.0]}),
         lambda: sj.priors.LogNormal(np.ma.masked_array([1.0, 2.0], mask=[0, 1]), 2.0),
         lambda: sj.Body.box(MASKED + 1.0, mass=1.0),

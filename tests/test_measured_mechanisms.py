@@ -63,7 +63,7 @@ def test_the_moments_of_a_furuta_pendulum_are_recovered():
     times = np.arange(0.0, 5.0, 0.05)
     angles = predicted(COARSE(**MOMENTS), times, furuta.FUNCTIONS, rtol=1e-7)
     record = furuta.measured_of(times, angles, noise=0.02)
-    fit = sj.fit(COARSE, furuta.FIRST_GUESS, record, horizon=sj.Whole(), rtol=1e-7, progress=False)
+    fit = sj.fit(COARSE, furuta.FIRST_GUESS, record, horizon=sj.studies.Whole(), rtol=1e-7, progress=False)
     assert fit.succeeded
     for name, value in MOMENTS.items():
         assert abs(fit.estimates[name] / value - 1) < 1e-3

@@ -13,7 +13,7 @@ from socket_starts import Laws, draw, exact, in_lanes, judge, single
 import spherejax as sj
 
 # Starts of 5 m/s press deeper than Eq. 24 is for; the reference does the same.
-pytestmark = pytest.mark.filterwarnings("ignore::spherejax.OutOfRangeWarning")
+pytestmark = pytest.mark.filterwarnings("ignore::spherejax.errors.OutOfRangeWarning")
 
 RTOLS = (1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
 PLAIN = Laws("LankaraniNikravesh", friction=False)
@@ -47,11 +47,11 @@ def test_the_reference_realizes_the_restitution_of_its_law(law):
     path = ball_path(ball, contact, np.linspace(0.0, 4e-3, 9))
     speeds = [speed for _, speed in path.onsets]
     assert path.onsets[0] == pytest.approx((1e-4 / 0.15, 0.15), rel=1e-12)
-    assert speeds[1] / speeds[0] == pytest.approx(sj.realized_restitution(factor), rel=1e-10)
+    assert speeds[1] / speeds[0] == pytest.approx(sj.laws.realized_restitution(factor), rel=1e-10)
 
 
 def _normal(law, restitution):
-    return sj.Hertz() if law == "Hertz" else getattr(sj, law)(restitution=restitution)
+    return sj.Hertz() if law == "Hertz" else getattr(sj.laws, law)(restitution=restitution)
 
 
 def test_the_stiffness_of_the_reference_is_the_printed_one():
@@ -61,7 +61,7 @@ def test_the_stiffness_of_the_reference_is_the_printed_one():
 # Runs against it -------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.filterwarnings("ignore::spherejax.OutOfRangeWarning")  # pressed beyond what Eq. 24 is for
+@pytest.mark.filterwarnings("ignore::spherejax.errors.OutOfRangeWarning")  # pressed beyond what Eq. 24 is for
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("laws", [PLAIN, ROUGH], ids=str)
 def test_no_start_succeeds_and_is_wrong(laws, way):

@@ -72,7 +72,7 @@ def assert_same(scene: sj.Scene, expected: dict[str, np.ndarray], rtol: float = 
 def test_a_tree_accelerates_as_in_mujoco(written, kinds, seed):
     path = written(random_tree(np.random.default_rng(seed), kinds))
     model, data, start = at_state(path, seed)
-    scene = sj.load_mjcf(path, drift=sj.NoDriftControl(), **start)
+    scene = sj.load_mjcf(path, drift=sj.solvers.NoDriftControl(), **start)
     expected = body_accelerations(model, data)
     # A body of several is compared with the whole's center of mass, which moves with the first of them.
     welded = {f"b{k}" for k, kind in enumerate(kinds) if kind == "weld"}
@@ -130,7 +130,7 @@ def test_several_joints_of_a_body_are_one_where_there_is_one(written, joints, ki
         )
     )
     model, data, start = at_state(path, 3)
-    scene = sj.load_mjcf(path, drift=sj.NoDriftControl(), **start)
+    scene = sj.load_mjcf(path, drift=sj.solvers.NoDriftControl(), **start)
     assert set(scene.bodies) == {"base", "arm"}
     assert {type(joint).__name__ for name, joint in scene.joints.items() if name != "j"} == {kind}
     assert_same(scene, body_accelerations(model, data))
@@ -170,7 +170,7 @@ def test_slides_and_turns_of_a_body_accelerate_as_in_mujoco(written, joints):
         )
     )
     model, data, start = at_state(path, 3)
-    scene = sj.load_mjcf(path, drift=sj.NoDriftControl(), **start)
+    scene = sj.load_mjcf(path, drift=sj.solvers.NoDriftControl(), **start)
     assert set(scene.bodies) == {"base", "arm"}
     assert sj.constraint_report(scene).degrees_of_freedom == model.nv
     assert_same(scene, body_accelerations(model, data))
@@ -195,7 +195,7 @@ def test_two_hinges_of_a_body_accelerate_as_in_mujoco(written, joints):
         )
     )
     model, data, start = at_state(path, 3)
-    scene = sj.load_mjcf(path, drift=sj.NoDriftControl(), **start)
+    scene = sj.load_mjcf(path, drift=sj.solvers.NoDriftControl(), **start)
     assert set(scene.bodies) == {"base", "arm"}
     assert sj.constraint_report(scene).degrees_of_freedom == 3
     assert_same(scene, body_accelerations(model, data))
@@ -227,7 +227,7 @@ def test_springs_of_stacks_push_as_in_mujoco(written, joints, carrier):
     arm = f'<body name="arm" pos="0.3 0 0" quat="1 .2 .3 .1">{joints}{INERTIAL}</body>'
     path = written(model_of(f'<body name="base" pos="0 0 1">{carrier}{INERTIAL}{arm}</body>' if carrier else arm))
     model, data, start = at_state(path, 3)
-    scene = sj.load_mjcf(path, drift=sj.NoDriftControl(), **start)
+    scene = sj.load_mjcf(path, drift=sj.solvers.NoDriftControl(), **start)
     assert_same(scene, body_accelerations(model, data))
 
 
@@ -293,7 +293,8 @@ def test_other_stacks_ask_for_mass_between_them_and_tend_to_mujoco(written):
     with pytest.raises(sj.SceneError, match=r"joints a, b move one body.*least_mass=1e-3, least_moment=1e-6"):
         sj.load_mjcf(path, **start)
     scenes = [
-        sj.load_mjcf(path, drift=sj.NoDriftControl(), least_mass=m, least_moment=m, **start) for m in (1e-5, 1e-6)
+        sj.load_mjcf(path, drift=sj.solvers.NoDriftControl(), least_mass=m, least_moment=m, **start)
+        for m in (1e-5, 1e-6)
     ]
     assert set(scenes[0].bodies) == {"arm_1", "arm"}
     expected = body_accelerations(model, data)["arm"]
@@ -327,7 +328,7 @@ def test_a_loop_accelerates_as_mujocos_equations_without_give(written, shut):
     data.qvel[:] = rates = 2.0 * np.array([1.0, -1.0, 1.0])
     expected = _without_give(model, data)
     named = dict(zip("abc", angles, strict=True)), dict(zip("abc", rates, strict=True))
-    scene = sj.load_mjcf(path, positions=named[0], velocities=named[1], drift=sj.NoDriftControl())
+    scene = sj.load_mjcf(path, positions=named[0], velocities=named[1], drift=sj.solvers.NoDriftControl())
     assert isinstance(scene.joints["shut"], sj.Spherical)
     # The Jacobian's rate is a difference of MuJoCo's Jacobians, good to 1e-9.
     assert_same(scene, body_accelerations(model, data, expected), rtol=1e-8)
@@ -382,7 +383,7 @@ def test_a_joint_that_follows_another_is_a_coupler_and_starts_where_that_puts_it
         sj.load_mjcf(path)
     scene = sj.load_mjcf(path, mimic={"turning": {"stiffness": 1e3}}, positions={"j": 0.4}, velocities={"j": 0.5})
     coupler = scene.forces["k_mimic"]
-    assert isinstance(coupler, sj.Coupler)
+    assert isinstance(coupler, sj.forces.Coupler)
     assert coupler.ratio == -2.0
     # k = 0.2 - 2 (0.4 - 0.1), and its rate -2 0.5.
     np.testing.assert_allclose(scene.bodies["b"].quaternion, [np.cos(-0.2), 0, np.sin(-0.2), 0], atol=1e-15)
@@ -451,7 +452,7 @@ def driven(path: Path, start: dict, controls: dict[str, float]):
     mujoco.mj_forward(model, data)
     names = dict(zip(("positions", "velocities"), ("qpos", "qvel"), strict=True))
     given = {what: dict(zip(("j", "s"), start[values], strict=True)) for what, values in names.items()}
-    return model, data, sj.load_mjcf(path, controls=controls, drift=sj.NoDriftControl(), **given)
+    return model, data, sj.load_mjcf(path, controls=controls, drift=sj.solvers.NoDriftControl(), **given)
 
 
 @pytest.mark.parametrize("actuators", ACTUATORS.values(), ids=ACTUATORS)

@@ -51,7 +51,7 @@ def idle(stiffness, inertia):
 
 
 CANDIDATES = {
-    "undamped": sj.Candidate(undamped, {"stiffness": STIFFNESS}),
+    "undamped": sj.studies.Candidate(undamped, {"stiffness": STIFFNESS}),
     "damped": (damped, {"stiffness": STIFFNESS, "damping": DAMPING}),
     "known": known,
 }
@@ -101,7 +101,9 @@ def test_the_model_of_the_record_is_told_from_the_others():
 
 def test_models_that_predict_alike_are_not_told_apart_and_the_simplest_is_named():
     models = {
-        "idle": sj.Candidate(idle, {"stiffness": STIFFNESS, "inertia": sj.Parameter(1e-3, lower=1e-4, upper=1e-2)}),
+        "idle": sj.studies.Candidate(
+            idle, {"stiffness": STIFFNESS, "inertia": sj.Parameter(1e-3, lower=1e-4, upper=1e-2)}
+        ),
         "undamped": CANDIDATES["undamped"],
         "known": known,
     }
@@ -152,8 +154,8 @@ def test_records_with_what_each_has_for_itself():
         return sj.Measured(TS, {"position.ball.x": values}, name=f"at {speed}", own=own)
 
     models = {
-        "damped": sj.Candidate(with_speed, {"stiffness": 150.0, "damping": 0.5}),
-        "undamped": sj.Candidate(without_damping, {"stiffness": 150.0}),
+        "damped": sj.studies.Candidate(with_speed, {"stiffness": 150.0, "damping": 0.5}),
+        "undamped": sj.studies.Candidate(without_damping, {"stiffness": 150.0}),
     }
     found = compared([measured(3, 0.0), measured(4, 0.5)], models, validate=measured(5, -0.3))
     assert found.best == "damped"
@@ -166,7 +168,7 @@ def test_a_failing_candidate_is_a_row_with_its_reason():
     def impossible(stiffness):
         return oscillator(stiffness, -1.0)
 
-    found = compared(record(), {**CANDIDATES, "bad": sj.Candidate(impossible, {"stiffness": 150.0})})
+    found = compared(record(), {**CANDIDATES, "bad": sj.studies.Candidate(impossible, {"stiffness": 150.0})})
     assert found.best == "damped"
     assert "damping" in found.evidence["bad"].diagnosis
     assert list(found.evidence)[-1] == "bad"
@@ -198,7 +200,7 @@ def test_where_all_candidates_fail_nothing_is_said():
         ({"time": TS, "position.bell.x": TS}, CANDIDATES, {}, "bell"),
         (
             sj.Measured(TS, {"position.ball.x": TS}, name="a"),
-            {**CANDIDATES, "known": sj.Candidate({"b": known})},
+            {**CANDIDATES, "known": sj.studies.Candidate({"b": known})},
             {},
             "",
         ),

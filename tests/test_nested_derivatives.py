@@ -72,7 +72,9 @@ def test_a_nesting_of_derivatives(name):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("solver", [sj.Rodas5P(), sj.Ros34PW2(), diffrax.Kvaerno5()], ids=["Rodas5P", "W", "Kvaerno5"])
+@pytest.mark.parametrize(
+    "solver", [sj.solvers.Rodas5P(), sj.solvers.Ros34PW2(), diffrax.Kvaerno5()], ids=["Rodas5P", "W", "Kvaerno5"]
+)
 @pytest.mark.parametrize("name", ["hessian", "reverse of reverse"])
 def test_a_nesting_by_a_stiff_method(solver, name):
     wanted = HESSIAN(AT)
@@ -84,7 +86,9 @@ def onto_a_stop(stiffness, solver=None):
     up = (0.0, 0.0, 1.0)
     scene = sj.Scene(
         bodies={"falling": sj.Body(1.0, (1e-3, 1e-3, 1e-3), position=(0.0, 0.0, 0.01))},
-        forces={"stop": sj.BumpStop(("ground.floor", "falling"), shortest=0.0, stiffness=stiffness, direction=up)},
+        forces={
+            "stop": sj.forces.BumpStop(("ground.floor", "falling"), shortest=0.0, stiffness=stiffness, direction=up)
+        },
         ground_points={"floor": (0.0, 0.0, 0.0)},
     )
     return sj.simulate(scene, jnp.linspace(0.0, 0.055, 3), solver=solver).ys[-1, 2]
@@ -112,13 +116,13 @@ def test_a_nesting_through_contact_is_refused(run, at, nested):
 
 def test_a_nesting_through_a_stop_is_refused_by_stiff_methods_too():
     with pytest.raises(sj.SceneError, match=r"differences of jax\.grad"):
-        jax.hessian(lambda stiffness: onto_a_stop(stiffness, sj.Rodas5P()))(1e4)
+        jax.hessian(lambda stiffness: onto_a_stop(stiffness, sj.solvers.Rodas5P()))(1e4)
 
 
 @pytest.mark.slow
 def test_a_nesting_by_a_stiff_method_is_nan_where_a_ball_touches():
     """A film may never be pressed through, and nobody knows before the run: where it is, there is no number."""
-    assert np.isnan(jax.hessian(lambda clearance: in_a_socket(clearance, sj.Rodas5P()))(1e-4))
+    assert np.isnan(jax.hessian(lambda clearance: in_a_socket(clearance, sj.solvers.Rodas5P()))(1e-4))
 
 
 @pytest.mark.parametrize("derivative", [jax.grad, jax.jacfwd])
@@ -140,5 +144,5 @@ def test_a_sweep_takes_numbers():
         found = sj.sweep(lambda mass: sj.gallery.simple_pendulum(mass=mass), values, TS, record=["final position.bob"])
         return jnp.asarray(found["final_position.bob"].values).sum()
 
-    with pytest.raises(sj.SceneError, match=r"'mass' is traced .* sj\.Sensitivity"):
+    with pytest.raises(sj.SceneError, match=r"'mass' is traced .* sj\.studies\.Sensitivity"):
         jax.grad(ends)(1.0)

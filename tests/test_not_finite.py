@@ -25,7 +25,7 @@ ROADS: dict[str, dict[str, Any]] = {
     "two samples": {"ts": TS[[0, -1]]},
     "many windows": {"ts": np.linspace(0.0, 1.0, 5_000)},
     "array code": {"scalar": False},
-    "Rosenbrock": {"solver": sj.Rodas5P()},
+    "Rosenbrock": {"solver": sj.solvers.Rodas5P()},
     "diffrax": {"solver": diffrax.Kvaerno5()},
     "adjoint": {"adjoint": diffrax.RecursiveCheckpointAdjoint()},
     "controller": {"stepsize_controller": diffrax.PIDController(rtol=1e-6, atol=1e-8)},
@@ -41,7 +41,7 @@ def quiet():
         yield
 
 
-class Late(sj.AbstractForce):
+class Late(sj.forces.AbstractForce):
     """A force that is not a number from t = `last` on."""
 
     last: float
@@ -51,7 +51,7 @@ class Late(sj.AbstractForce):
         return ("ball",)
 
     def wrenches(self, t, motions):
-        return {"ball": sj.Wrench(jnp.array([jnp.where(t > self.last, jnp.nan, 1.0), 0.0, 0.0]), jnp.zeros(3))}
+        return {"ball": sj.forces.Wrench(jnp.array([jnp.where(t > self.last, jnp.nan, 1.0), 0.0, 0.0]), jnp.zeros(3))}
 
 
 def ball():
@@ -59,7 +59,7 @@ def ball():
 
 
 def driven(function):
-    return sj.Scene({"ball": ball()}, {"hand": sj.PositionDriver("ball.end", function)}, gravity=(0, 0, 0))
+    return sj.Scene({"ball": ball()}, {"hand": sj.joints.PositionDriver("ball.end", function)}, gravity=(0, 0, 0))
 
 
 def pushed(function):

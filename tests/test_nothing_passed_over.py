@@ -17,7 +17,7 @@ def ball(**motion) -> sj.Body:
 
 def dropped(height: float, stiffness: float) -> sj.Scene:
     """A ball above a stiff stop at the height 0."""
-    stop = sj.BumpStop(("ground.floor", "ball"), shortest=0.0, stiffness=stiffness, direction=(0, 0, 1))
+    stop = sj.forces.BumpStop(("ground.floor", "ball"), shortest=0.0, stiffness=stiffness, direction=(0, 0, 1))
     return sj.Scene(
         {"ball": ball(position=(0.0, 0.0, height))}, {}, forces={"stop": stop}, ground_points={"floor": (0.0, 0.0, 0.0)}
     )
@@ -66,16 +66,16 @@ def test_a_stop_that_only_stages_without_a_weight_have_met(stiffness, rtol):
     assert np.max(np.abs(runs.ys[:, :, 2] - expected)) < 30 * rtol
 
 
-def driven_over(bump: sj.Bump, speed: float = 20.0) -> sj.Scene:
+def driven_over(bump: sj.functions.Bump, speed: float = 20.0) -> sj.Scene:
     """A wheel at rest on its tyre, which a road passes below."""
     radius, stiffness = 0.3, 2e5
-    tyre = sj.Tyre("wheel", radius, stiffness, road=bump, speed=speed)
+    tyre = sj.forces.Tyre("wheel", radius, stiffness, road=bump, speed=speed)
     return sj.Scene({"wheel": ball(position=(0.0, 0.0, radius - G / stiffness))}, {}, forces={"tyre": tyre})
 
 
 def test_a_bump_shorter_than_any_step_is_met():
     # 2 mm of road, 0.1 ms of 2 s: the wheel gets the impulse of the bump's area over the speed.
-    bump = sj.Bump(height=1e-3, start=20.123, length=2e-3)
+    bump = sj.functions.Bump(height=1e-3, start=20.123, length=2e-3)
     run = sj.simulate(driven_over(bump), jnp.array([0.0, 1.0, 1.01]), rtol=1e-8)
     impulse = 2e5 * bump.height * bump.length / 2 / 20.0
     top = run.velocity("wheel")[-1, 2] ** 2 + 2e5 * (run.position("wheel")[-1, 2] - run.position("wheel")[0, 2]) ** 2
@@ -83,7 +83,7 @@ def test_a_bump_shorter_than_any_step_is_met():
 
 
 def test_a_jolt_of_a_drive_shorter_than_any_step_is_met():
-    jolt = sj.Bump(height=1e-2, start=0.51234, length=2e-4)
+    jolt = sj.functions.Bump(height=1e-2, start=0.51234, length=2e-4)
     scene = sj.Scene(
         {"rider": ball(position=(0.0, 0.0, 0.0)), "load": ball(position=(0.0, 0.0, -0.1))},
         {
@@ -100,13 +100,13 @@ def test_a_jolt_of_a_drive_shorter_than_any_step_is_met():
 
 
 def test_where_functions_begin_end_and_turn():
-    bump, table = sj.Bump(1.0, 2.0, 1.0), sj.Table([0.0, 1.0, 4.0], [0.0, 1.0, 0.0])
+    bump, table = sj.functions.Bump(1.0, 2.0, 1.0), sj.functions.Table([0.0, 1.0, 4.0], [0.0, 1.0, 0.0])
     assert float(bump.room(0.5, True)) == 1.5
     assert float(bump.room(2.0, True)) == 0.5  # its crest; what a step ends on is passed
     assert float(bump.room(4.0, False)) == 1.0
     assert float(bump.room(4.0, True)) == np.inf
     assert float(table.room(1.5, True)) == 2.5
     assert float(table.room(1.5, False)) == 0.5
-    assert float(sj.Sine(1.0, 50.0).room(3.0, True)) == 0.01
-    assert float(sj.Sum(bump, table).room(0.5, True)) == 0.5
+    assert float(sj.functions.Sine(1.0, 50.0).room(3.0, True)) == 0.01
+    assert float(sj.functions.Sum(bump, table).room(0.5, True)) == 0.5
     assert float(room_between([1.0, 2.0], 1.0, True)) == 1.0

@@ -21,13 +21,13 @@ EACH = [pytest.param(name, marks=[] if name in FAST else [pytest.mark.slow]) for
 
 
 def four_bar(model, drift=None) -> sj.Scene:
-    return sj.gallery.four_bar(model, drift=sj.NoDriftControl() if drift is None else drift)
+    return sj.gallery.four_bar(model, drift=sj.solvers.NoDriftControl() if drift is None else drift)
 
 
 @cache
-def moving(name: str) -> tuple[sj.Ode, sj.Trajectory]:
+def moving(name: str) -> tuple[sj.equations.Ode, sj.Trajectory]:
     """A four-bar and its run into the first contact (7.93 to 8.04 ms), where the accelerations are largest."""
-    scene = four_bar(MODELS_HERE[name], sj.Baumgarte())
+    scene = four_bar(MODELS_HERE[name], sj.solvers.Baumgarte())
     return sj.ode(scene), sj.simulate(scene, jnp.array([0.0, 4e-3, 8e-3]))
 
 
@@ -36,7 +36,7 @@ def turned(rotation: Rotation, quaternion) -> np.ndarray:
     return (rotation * Rotation.from_quat(quaternion, scalar_first=True)).as_quat(scalar_first=True)
 
 
-def moved(f: sj.EquationsOfMotion, y, velocities, dt: float):
+def moved(f: sj.equations.EquationsOfMotion, y, velocities, dt: float):
     """The flat state after all bodies have moved with constant velocities (6 for each) for a time [s]."""
     state = f.unpack(y)
     bodies = {}
@@ -81,7 +81,7 @@ def test_energies_reactions_and_observables_are_those_of_the_run(name):
 
 def test_array_code_and_scalar_programs_are_the_same_equations():
     (f, y0, args), run = moving("friction")
-    arrays = sj.ode(four_bar(MODELS_HERE["friction"], sj.Baumgarte()), scalar=False)
+    arrays = sj.ode(four_bar(MODELS_HERE["friction"], sj.solvers.Baumgarte()), scalar=False)
     assert arrays.f.scalar is False
     rate, other = f(0.0, run.ys[-1], args), arrays.f(0.0, run.ys[-1], arrays.args)
     np.testing.assert_allclose(rate, other, atol=1e-10 * float(jnp.max(jnp.abs(rate))))
@@ -130,7 +130,7 @@ def test_jacobian_and_bias_are_differences_of_the_residual():
 def test_rate_at_rest_is_what_a_driver_prescribes():
     body = sj.Body(1.0, (1e-2, 2e-2, 3e-2))
     hinge = sj.Revolute(("ground", "arm"), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
-    drive = sj.RotationDriver(("ground", "arm"), (0.0, 0.0, 1.0), sj.Polynomial([0.0, 2.0, 1.5]))
+    drive = sj.RotationDriver(("ground", "arm"), (0.0, 0.0, 1.0), sj.functions.Polynomial([0.0, 2.0, 1.5]))
     scene = sj.Scene({"arm": body}, {"hinge": hinge, "drive": drive})
     f, y0, args = sj.ode(scene, t0=0.5)
     np.testing.assert_allclose(jax.jit(lambda t0: sj.ode(scene, t0=t0).y0)(0.5), y0, atol=1e-15)
@@ -193,7 +193,7 @@ def test_derivatives_by_args_are_those_by_numbers_of_the_scene():
     weights = jnp.asarray(np.random.default_rng(1).normal(size=f.size))
 
     def of_scene(stiffness):
-        return weights @ f(0.0, y, sj.ode(four_bar(sj.Bushing(stiffness, 1e-4), sj.Baumgarte())).args)
+        return weights @ f(0.0, y, sj.ode(four_bar(sj.Bushing(stiffness, 1e-4), sj.solvers.Baumgarte())).args)
 
     def of_args(args):
         return weights @ f(0.0, y, args)
@@ -215,7 +215,7 @@ def test_args_of_traced_masses_fit_and_the_start_follows_numbers():
     (f, y0, args), _ = moving("ideal")
 
     def with_mass(mass):
-        scene = four_bar(sj.Ideal(), sj.Baumgarte())
+        scene = four_bar(sj.Ideal(), sj.solvers.Baumgarte())
         return sj.ode(eqx.tree_at(lambda scene: scene.bodies["rocker"].mass, scene, mass, is_leaf=lambda x: x is None))
 
     mass = float(args.bodies["rocker"].mass)
@@ -286,7 +286,7 @@ def test_a_gradient_through_plain_diffrax_is_that_of_the_run():
     f = moving("bushing")[0].f
 
     def scene_of(stiffness):
-        return four_bar(sj.Bushing(stiffness, 1e-4), sj.Baumgarte())
+        return four_bar(sj.Bushing(stiffness, 1e-4), sj.solvers.Baumgarte())
 
     def height(stiffness):
         _, y0, args = sj.ode(scene_of(stiffness))
@@ -300,7 +300,7 @@ def test_a_gradient_through_plain_diffrax_is_that_of_the_run():
 
 def test_a_dry_run_is_rebuilt_by_events_and_restarts():
     """Four impacts of the four-bar: onset and release found by diffrax, each a restart behind `after_contact`."""
-    scene = four_bar(MODELS_HERE["friction"], sj.Baumgarte())
+    scene = four_bar(MODELS_HERE["friction"], sj.solvers.Baumgarte())
     f, y, args = sj.ode(scene)
     assert f.has_events
     assert f.contacts == ("coupler_rocker",)
@@ -344,7 +344,7 @@ def test_samples_of_a_controller_are_restarts():
 
 
 def test_what_is_left_to_the_integrator_is_said():
-    dry = sj.ode(sj.gallery.four_bar(sj.Dry(1e-4), drift=sj.PostStabilization())).f
+    dry = sj.ode(sj.gallery.four_bar(sj.Dry(1e-4), drift=sj.solvers.PostStabilization())).f
     said = " ".join(dry.left_to_the_integrator)
     assert "'coupler_rocker' begins and ends" in said
     assert "`project`" in said

@@ -43,7 +43,7 @@ print(disk_cache.key_for(state_rate, jax.lax.scan, jax.vmap, diffrax.Dopri8()) i
 
 RUNS = """
 run = sj.simulate(sj.gallery.simple_pendulum(), np.linspace(0.0, 0.3, 4))
-push = sj.AppliedWrench("ball", force=sj.UserFunction(lambda t: jnp.array([0.0, 0.0, 2.0])))
+push = sj.AppliedWrench("ball", force=sj.functions.UserFunction(lambda t: jnp.array([0.0, 0.0, 2.0])))
 scene = sj.Scene({"ball": sj.Body(1.0, (1e-3, 1e-3, 1e-3))}, {}, {"push": push}, gravity=(0.0, 0.0, 0.0))
 print(run.status, round(float(sj.simulate(scene, np.linspace(0.0, 1.0, 3)).position("ball")[-1, 2]), 9))
 """

@@ -82,7 +82,7 @@ def frames_by_body(pin, model) -> dict[str, int]:
 
 def accelerations(scene: sj.Scene) -> dict[str, np.ndarray]:
     """Linear and angular acceleration of each body at the start."""
-    system = sj.compile_scene(scene).system
+    system = sj.equations.compile_scene(scene).system
     bodies = system.bodies.values()
     by_field = (
         jnp.stack([jnp.asarray(getattr(body, field)) for body in bodies])
@@ -103,7 +103,7 @@ def test_accelerations_are_those_of_the_articulated_body_algorithm(path, base):
     q, v, start = random_state(pin, model, free, np.random.default_rng(0))
     mended = MENDED.get(path.name, {})
     left_out = ("friction", "mimic", "extensions")
-    scene = sj.load_urdf(path, base=base, ignore=left_out, drift=sj.NoDriftControl(), **start, **mended)
+    scene = sj.load_urdf(path, base=base, ignore=left_out, drift=sj.solvers.NoDriftControl(), **start, **mended)
     frames = frames_by_body(pin, model)
     for name, body in scene.bodies.items() if mended else ():
         inertia = body.inertia if body.inertia.ndim == 2 else np.diag(body.inertia)

@@ -51,13 +51,18 @@ def pressed(model, load=2000.0, speed=0.0):
     )
 
 
-@pytest.mark.filterwarnings("ignore::spherejax.OutOfRangeWarning")  # pressed beyond what Eq. 24 is for
+@pytest.mark.filterwarnings("ignore::spherejax.errors.OutOfRangeWarning")  # pressed beyond what Eq. 24 is for
 @pytest.mark.slow
 def test_balance_closes_for_a_hybrid_film_pressed_into_contact():
     load, wide = 2000.0, 2e-5
     model = sj.Lubricated(clearance=cases.C, viscosity=0.004, e_h0=wide, e_h1=wide)
     run = sj.simulate(
-        pressed(model, load, 0.1), cases.times(0.01, 81), rtol=1e-9, atol=1e-13, track_work=True, solver=sj.Rodas5P()
+        pressed(model, load, 0.1),
+        cases.times(0.01, 81),
+        rtol=1e-9,
+        atol=1e-13,
+        track_work=True,
+        solver=sj.solvers.Rodas5P(),
     ).require_success()
     depth = np.asarray(run.penetration("joint"))
     assert (depth < 0).any()
@@ -78,8 +83,10 @@ def test_elastic_energy_of_the_hybrid_integrates_the_blended_force():
         clearance=cases.C, viscosity=1e-12, e_h0=wide, e_h1=2 * wide, normal=sj.Hertz(stiffness=stiffness)
     )
     scene = cases.ball_in_socket(model, 0.2, (0.0, 0.0, -4.0))
-    with pytest.warns(sj.OutOfRangeWarning, match="^joint 'joint': the offset e_h1"):  # wide, for a depth to see
-        run = sj.simulate(scene, cases.times(1.5e-4, 61), rtol=1e-10, atol=1e-14, solver=sj.Rodas5P(), track_work=True)
+    with pytest.warns(sj.errors.OutOfRangeWarning, match="^joint 'joint': the offset e_h1"):  # wide, for a depth to see
+        run = sj.simulate(
+            scene, cases.times(1.5e-4, 61), rtol=1e-10, atol=1e-14, solver=sj.solvers.Rodas5P(), track_work=True
+        )
     depth, elastic = np.asarray(run.penetration("joint")), np.asarray(run.elastic_energy)
     assert depth.max() > 1.5 * wide
 
@@ -139,7 +146,7 @@ def _matrices(q):
     return Rotation.from_quat(np.array(q), scalar_first=True).as_matrix()
 
 
-@pytest.mark.filterwarnings("ignore::spherejax.StartWarning")  # the velocities are made to agree with the joint
+@pytest.mark.filterwarnings("ignore::spherejax.errors.StartWarning")  # the velocities are made to agree with the joint
 @pytest.mark.parametrize(
     "name",
     [
@@ -194,7 +201,7 @@ def test_bristles_of_two_joints_do_not_mix():
         "b_rests": sj.Spherical("ground.s", "alpha.p", model, starts_concentric=False),
     }
     scene = sj.Scene(bodies, joints, gravity=(0.0, 0.0, 0.0), ground_points={"s": (0.0, 0.0, 0.0)})
-    system = sj.compile_scene(scene).system
+    system = sj.equations.compile_scene(scene).system
     layout = system.layout
     state = State(
         *(

@@ -202,7 +202,7 @@ def test_film_under_constant_load_sinks_as_the_integral_says(boundary):
         gravity=NO_GRAVITY,
         ground_points=scene.ground_points,
     )
-    run = sj.simulate(scene, jnp.asarray(ts), rtol=1e-8, atol=1e-14, solver=sj.Rodas5P()).require_success()
+    run = sj.simulate(scene, jnp.asarray(ts), rtol=1e-8, atol=1e-14, solver=sj.solvers.Rodas5P()).require_success()
     # The time constant of the inertia, m/(C B), is 1e-8 of the time that is measured.
     assert -np.asarray(run.position("ball"))[1:, 2] / c == pytest.approx(ratios, abs=1e-6)
 

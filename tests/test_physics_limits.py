@@ -41,15 +41,17 @@ def test_clearance_to_zero_is_the_ideal_joint(ideal):
 
 def test_bushing_stiffness_to_infinity_is_the_ideal_joint(ideal):
     stiffness = np.array([1e6, 1e7, 1e8])
-    errors = distances(lambda k: sj.Bushing(stiffness=k, damping=1e-3), stiffness, ideal, sj.Rodas5P())
+    errors = distances(lambda k: sj.Bushing(stiffness=k, damping=1e-3), stiffness, ideal, sj.solvers.Rodas5P())
     assert orders(errors, 1 / stiffness) == pytest.approx([1.0, 1.0], abs=0.1), errors
 
 
 @pytest.mark.slow
 def test_viscosity_to_infinity_is_the_ideal_joint(ideal):
     viscosity = np.array([4.0, 40.0, 400.0])
-    film = sj.RadialFilm()  # the full film's shear would grow with the viscosity
-    errors = distances(lambda nu: sj.Lubricated(cases.C, viscosity=nu, film=film), viscosity, ideal, sj.Rodas5P())
+    film = sj.laws.RadialFilm()  # the full film's shear would grow with the viscosity
+    errors = distances(
+        lambda nu: sj.Lubricated(cases.C, viscosity=nu, film=film), viscosity, ideal, sj.solvers.Rodas5P()
+    )
     assert orders(errors, 1 / viscosity) == pytest.approx([1.0, 1.0], abs=0.1), errors
 
 
@@ -72,7 +74,7 @@ def test_blend_widths_to_zero_are_the_unblended_film():
     assert orders(errors, widths) == pytest.approx([1.0, 1.0], abs=0.1), errors
 
 
-@pytest.mark.filterwarnings("ignore::spherejax.OutOfRangeWarning")  # pressed beyond what Eq. 24 is for
+@pytest.mark.filterwarnings("ignore::spherejax.errors.OutOfRangeWarning")  # pressed beyond what Eq. 24 is for
 def test_restitution_to_one_is_hertz():
     # No friction, no loss: the same motion until the first impacts have amplified the difference.
     def run(normal):
@@ -92,6 +94,6 @@ def test_curve_with_one_point_is_the_vector_bushing():
         done = sj.simulate(scene, cases.times(2e-3), **OPTIONS).require_success()
         return np.asarray(done.position("ball"))[-1]
 
-    curve = run(sj.CurveElastomer(np.array([1e-4]), np.array([100.0]), 1e-4))
-    vector = run(sj.VectorElastomer(1e6, 1e-4))
+    curve = run(sj.laws.CurveElastomer(np.array([1e-4]), np.array([100.0]), 1e-4))
+    vector = run(sj.laws.VectorElastomer(1e6, 1e-4))
     assert jnp.abs(curve - vector).max() < 1e-10 * 1e-3

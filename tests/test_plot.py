@@ -199,7 +199,7 @@ def test_time_ratios_are_annotated():
 
 
 def test_a_limit_that_ends_early_says_why():
-    radial = five_models(film=sj.RadialFilm())
+    radial = five_models(film=sj.laws.RadialFilm())
     shortened = [s for s in limit_studies(radial) if s.parameter == "clearance [mm]" and len(s.values) < 5]
     assert [("its curve ends where" in s.label) for s in shortened] == [True]
     assert not any("ends" in s.label for s in limit_studies(five_models()))

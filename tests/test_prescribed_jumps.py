@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 import spherejax as sj
 
 # Some functions begin with another rate than the rod has.
-pytestmark = pytest.mark.filterwarnings("ignore::spherejax.StartWarning")
+pytestmark = pytest.mark.filterwarnings("ignore::spherejax.errors.StartWarning")
 
 AXIS = (0.0, 0.0, 1.0)
 TIMES = np.linspace(0.0, 2.0, 5)
@@ -32,7 +32,7 @@ def arm(angle, tail=False, drift=None):
     return sj.Scene(bodies, joints, gravity=(0.0, 0.0, 0.0), drift=drift)
 
 
-class Ramp(sj.AbstractFunction):
+class Ramp(sj.functions.AbstractFunction):
     """Goes on from 0 at a rate, and jumps by `jump` at `at`."""
 
     jump: jax.Array
@@ -43,16 +43,21 @@ class Ramp(sj.AbstractFunction):
 
 
 JUMPING = {
-    "step": (sj.Step(0.5, 0.0, 9e-3), "jumps at t = 0.5 s from 0 to 0.009"),
+    "step": (sj.functions.Step(0.5, 0.0, 9e-3), "jumps at t = 0.5 s from 0 to 0.009"),
     "function": (lambda t: jnp.where(t < 0.3, jnp.sin(t), jnp.sin(t) + 1e-5), "jumps at t = 0.3 s"),
     "module": (Ramp(jnp.asarray(9e-3)), "jumps at t = 0.5 s"),
-    "short": (sj.Piecewise([0.5, 0.50001], [sj.Linear(1.0), sj.Linear(1.0, 0.1), sj.Linear(1.0)]), "jumps at t = 0.5"),
+    "short": (
+        sj.functions.Piecewise(
+            [0.5, 0.50001], [sj.functions.Linear(1.0), sj.functions.Linear(1.0, 0.1), sj.functions.Linear(1.0)]
+        ),
+        "jumps at t = 0.5",
+    ),
     "kink": (lambda t: jnp.minimum(t, TURN), "the rate of its function of time jumps at t = 0.7 s from 1 to 0"),
 }
 
 
 @pytest.mark.parametrize("kind", JUMPING)
-@pytest.mark.parametrize("drift", [sj.Projection(), sj.Baumgarte()])
+@pytest.mark.parametrize("drift", [sj.solvers.Projection(), sj.solvers.Baumgarte()])
 def test_a_motion_that_jumps_is_refused_before_anything_is_computed(kind, drift):
     """The step ended at 0.0064 rad half a second later with Baumgarte's feedback, and teleported with corrections."""
     function, text = JUMPING[kind]
@@ -102,13 +107,13 @@ def tail_after_the_turn(ts):
 
 
 TURNING = {
-    "table": sj.Table([0.0, TURN, 2.0], [0.0, SPEED * TURN, SPEED * TURN]),
-    "plain functions": sj.Piecewise([TURN], [lambda t: SPEED * t, lambda t: SPEED * TURN]),
+    "table": sj.functions.Table([0.0, TURN, 2.0], [0.0, SPEED * TURN, SPEED * TURN]),
+    "plain functions": sj.functions.Piecewise([TURN], [lambda t: SPEED * t, lambda t: SPEED * TURN]),
 }
 
 
 @pytest.mark.parametrize("kind", TURNING)
-@pytest.mark.parametrize("drift", [sj.PostStabilization(), sj.Projection()])
+@pytest.mark.parametrize("drift", [sj.solvers.PostStabilization(), sj.solvers.Projection()])
 def test_a_jump_of_the_rate_is_an_impact_of_the_driver(kind, drift):
     run = sj.simulate(arm(TURNING[kind], True, drift), TIMES, throw=True)
     quaternion = np.asarray(run.quaternion("tail"))
@@ -124,7 +129,7 @@ def test_the_error_for_a_kink_says_how_to_declare_it():
     def function(t):
         return jnp.minimum(SPEED * t, SPEED * TURN)
 
-    with pytest.raises(sj.SceneError, match=r"sj\.Piecewise\(\[0\.7\], \[f, g\]\)"):
+    with pytest.raises(sj.SceneError, match=r"sj\.functions\.Piecewise\(\[0\.7\], \[f, g\]\)"):
         sj.simulate(arm(function), TIMES)
 
 
@@ -136,11 +141,11 @@ def test_a_kink_declared_with_the_same_function_on_both_sides_does_not_succeed()
         return jnp.minimum(SPEED * t, SPEED * TURN)
 
     with pytest.warns(sj.SimulationWarning, match="energy"):
-        assert not sj.simulate(arm(sj.Piecewise([TURN], [function, function]), True), TIMES).succeeded
+        assert not sj.simulate(arm(sj.functions.Piecewise([TURN], [function, function]), True), TIMES).succeeded
 
 
 def test_a_jump_of_the_rate_that_feedback_would_follow_slowly_ends_the_run():
-    table = sj.Table([0.0, TURN, 2.0], [0.0, SPEED * TURN, SPEED * TURN])
+    table = sj.functions.Table([0.0, TURN, 2.0], [0.0, SPEED * TURN, SPEED * TURN])
     with pytest.warns(sj.SimulationWarning, match="energy vanished"):
-        run = sj.simulate(arm(table, True, sj.Baumgarte()), TIMES)
+        run = sj.simulate(arm(table, True, sj.solvers.Baumgarte()), TIMES)
     assert run.status == sj.Status.AUDIT_FAILED

@@ -11,12 +11,14 @@ from pathlib import Path
 import nbformat
 import pytest
 from documentation import DOCS, README, program
+from public import NAMESPACES
 
 import spherejax as sj
 
 ROOT = Path(__file__).parent.parent
 MODULES = {
     "spherejax": sj.__all__,
+    **{space.__name__: space.__all__ for space in NAMESPACES.values()},
     "spherejax.gallery": sj.gallery.__all__,
     "spherejax.plot": sj.plot.__all__,
     "spherejax.priors": sj.priors.__all__,
@@ -87,9 +89,9 @@ def test_only_public_names_are_used(path):
         ("from spherejax import plot, Dry\nplot.letter", []),
         ("from spherejax.plot import letter\nimport spherejax.gallery\nspherejax.gallery.hip", []),
         ("from spherejax.output.plot.style import letter", ["spherejax.output.plot.style.letter"]),
-        ("from spherejax import studies", ["spherejax.studies"]),
+        ("from spherejax import physics", ["spherejax.physics"]),
         ("import spherejax.physics.laws as laws", ["spherejax.physics.laws"]),
-        ("import spherejax as sj\nsj.studies.fit.Whole()", ["spherejax.studies"]),
+        ("import spherejax as sj\nsj.studies.fit.Whole()", ["spherejax.studies.fit"]),
         ("from spherejax import plot as p\np.dress", ["spherejax.plot.dress"]),
         ("import spherejax\nspherejax.plot.style", ["spherejax.plot.style"]),
     ],
@@ -129,6 +131,14 @@ def test_what_type_checkers_read_is_what_there_is():
     listed = next(ast.literal_eval(node.value) for node in tree.body if isinstance(node, ast.Assign))
     assert sorted(sj.__all__) == sorted(listed)
     assert all(getattr(sj, name) is not None for name in listed)
+
+
+@pytest.mark.parametrize("name", [name for name in NAMESPACES if name != "compiler"])
+def test_what_type_checkers_read_of_a_namespace_is_what_there_is(name):
+    space = NAMESPACES[name]
+    tree = ast.parse(Path(space.__file__).with_suffix(".pyi").read_text())
+    listed = next(ast.literal_eval(node.value) for node in tree.body if isinstance(node, ast.Assign))
+    assert sorted(space.__all__) == sorted(listed)
 
 
 # Pint looks for dask, and of some versions dask takes xarray along: no choice of ours.

@@ -81,7 +81,7 @@ def test_physical_pendulum_on_an_ideal_pivot():
         (lambda size: sj.Bushing(1.0 / size, 1e-2), (1e-5, 1e-6)),  # yields by about size * (force in newtons)
         (lambda size: sj.Dry(clearance=size), (1e-4, 1e-5)),
         # The film yields by size^3 and time; the full one would shear its oil, which is the stronger the thinner it is.
-        (lambda size: sj.Lubricated(clearance=size, viscosity=0.4, film=sj.RadialFilm()), (1e-4, 1e-5)),
+        (lambda size: sj.Lubricated(clearance=size, viscosity=0.4, film=sj.laws.RadialFilm()), (1e-4, 1e-5)),
     ],
     ids=["bushing", "dry", "lubricated"],
 )

@@ -24,7 +24,7 @@ def bell(t, width=WIDTH):
     return jnp.exp(-(((t - AT) / width) ** 2)) / (width * np.sqrt(np.pi))
 
 
-class Push(sj.AbstractForce):
+class Push(sj.forces.AbstractForce):
     """A user's own force."""
 
     size: float
@@ -34,10 +34,10 @@ class Push(sj.AbstractForce):
         return ("ball",)
 
     def wrenches(self, t, motions):
-        return {"ball": sj.Wrench(self.size * bell(t) * jnp.array([1.0, 0.0, 0.0]), jnp.zeros(3))}
+        return {"ball": sj.forces.Wrench(self.size * bell(t) * jnp.array([1.0, 0.0, 0.0]), jnp.zeros(3))}
 
 
-class OwnFunction(sj.AbstractFunction):
+class OwnFunction(sj.functions.AbstractFunction):
     """A user's own function, which does not say where it turns."""
 
     size: float
@@ -83,7 +83,7 @@ SCENES = {
     ),
     "actuator, box": lambda: on_rail(box),
     "actuator, own function": lambda: on_rail(OwnFunction(1.0)),
-    "actuator, sum": lambda: on_rail(sj.Sum(sj.Constant(0.0), OwnFunction(1.0))),
+    "actuator, sum": lambda: on_rail(sj.functions.Sum(sj.functions.Constant(0.0), OwnFunction(1.0))),
     "own force": lambda: free(Push(1.0)),
 }
 
@@ -104,7 +104,7 @@ def test_short_torque_gives_its_impulse():
 @pytest.mark.parametrize(
     "how",
     [
-        {"solver": sj.Rodas5P()},
+        {"solver": sj.solvers.Rodas5P()},
         pytest.param({"scalar": False}, marks=pytest.mark.slow),
         pytest.param({"solver": diffrax.Kvaerno5()}, marks=pytest.mark.slow),
         pytest.param({"solver": diffrax.Bosh3()}, marks=pytest.mark.slow),
@@ -144,7 +144,7 @@ def test_shorter_pulses_are_met_where_they_are_declared():
     def tiny(t):
         return jnp.where((t >= AT) & (t < AT + width), 1.0 / width, 0.0)
 
-    declared = sj.Piecewise([AT, AT + width], [tiny, tiny, tiny])
+    declared = sj.functions.Piecewise([AT, AT + width], [tiny, tiny, tiny])
     assert speed(on_rail(declared)) == pytest.approx(1.0, abs=1e-6)
 
 
@@ -173,7 +173,7 @@ def test_scenes_without_such_functions_have_no_looks():
         return unseen_of(flatten_system(compile_scene(scene).system)[0], None, diffrax.Dopri8())
 
     assert looks(on_rail(box)) is not None
-    for effort in (3.0, sj.Sine(1.0, 2.0), sj.Table([0.0, 0.5, 1.0], [0.0, 1.0, 0.0])):
+    for effort in (3.0, sj.functions.Sine(1.0, 2.0), sj.functions.Table([0.0, 0.5, 1.0], [0.0, 1.0, 0.0])):
         assert looks(on_rail(effort)) is None
     assert looks(free(sj.AppliedWrench("ball", force=(1.0, 0.0, 0.0)))) is None
     assert looks(pushed(lambda t: 1.0)) is None

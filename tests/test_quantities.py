@@ -8,7 +8,7 @@ import spherejax as sj
 from spherejax.model.system import compile_scene
 from spherejax.motion.equations.quantities import quantity
 
-pytestmark = pytest.mark.filterwarnings("ignore::spherejax.OutOfRangeWarning")
+pytestmark = pytest.mark.filterwarnings("ignore::spherejax.errors.OutOfRangeWarning")
 
 TIMES = np.linspace(0.0, 0.004, 5)
 NAMES = (

@@ -78,7 +78,9 @@ def test_scenes_of_three_and_four_bodies_are_sound_or_explained(seed):
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("ignore::spherejax.StartWarning")  # velocities are drawn, and made to agree with the joints
+@pytest.mark.filterwarnings(
+    "ignore::spherejax.errors.StartWarning"
+)  # velocities are drawn, and made to agree with the joints
 @pytest.mark.filterwarnings("ignore::spherejax.SimulationWarning")  # they may end early, but all ways alike
 @pytest.mark.parametrize("seed", [3, 7, 11, 17, 51])
 def test_jit_vmap_and_lanes_agree(seed):

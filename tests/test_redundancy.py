@@ -45,20 +45,20 @@ def test_only_joints_of_the_loop_are_named():
 
 def test_what_is_not_redundant_is_not_named():
     report = sj.constraint_report(sj.gallery.four_bar(sj.Dry(clearance=1e-4)))
-    assert report == sj.ConstraintReport(13, 13, 5, (), False)
+    assert report == sj.results.ConstraintReport(13, 13, 5, (), False)
     assert str(report) == "13 constraint equations of rank 13; 5 degrees of freedom."
     free = sj.constraint_report(sj.Scene({"free": sj.Body(1.0, (1.0, 1.0, 1.0))}))
-    assert free == sj.ConstraintReport(0, 0, 6, (), False)
+    assert free == sj.results.ConstraintReport(0, 0, 6, (), False)
 
 
 def test_a_mechanism_that_does_not_move():
     """A driven pendulum: six equations, nothing is free; driven twice, one equation depends on the other."""
     pair, y = ("ground", "arm"), (0.0, 1.0, 0.0)
-    driver = sj.RotationDriver(pair, y, sj.Linear(2.0, 0.3))
+    driver = sj.RotationDriver(pair, y, sj.functions.Linear(2.0, 0.3))
     joints = {"pivot": sj.Revolute(pair, (0.0, 0.0, 0.0), y), "motor": driver}
     arm = sj.Body(1.0, (0.1, 0.1, 0.1), position=(0.3, 0.0, 0.0))
     report = sj.constraint_report(sj.Scene({"arm": arm}, joints), t=0.7)
-    assert report == sj.ConstraintReport(6, 6, 0, (), False)
+    assert report == sj.results.ConstraintReport(6, 6, 0, (), False)
     twice = sj.constraint_report(sj.Scene({"arm": arm}, {**joints, "second": driver}))
     assert (twice.rank, twice.redundant_joints) == (6, ("motor", "second"))
 
@@ -68,8 +68,8 @@ def test_over_constrained_scenes_that_cannot_close_are_refused():
     pair, y = ("ground", "arm"), (0.0, 1.0, 0.0)
     joints = {
         "pivot": sj.Revolute(pair, (0.0, 0.0, 0.0), y),
-        "one": sj.RotationDriver(pair, y, sj.Linear(2.0, 0.3)),
-        "two": sj.RotationDriver(pair, y, sj.Linear(2.0, 0.4)),
+        "one": sj.RotationDriver(pair, y, sj.functions.Linear(2.0, 0.3)),
+        "two": sj.RotationDriver(pair, y, sj.functions.Linear(2.0, 0.4)),
     }
     arm = sj.Body(1.0, (0.1, 0.1, 0.1), position=(0.3, 0.0, 0.0))
     with pytest.raises(sj.SceneError, match=r"joint '(one|two)' cannot be closed.*residual"):

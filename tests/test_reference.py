@@ -98,7 +98,7 @@ def test_crank_turns_back_where_the_reduction_does():
 def same_equations():
     """The package's own right-hand side under SciPy's DOP853 at 1e-13: only the integrator differs."""
     scene = sj.gallery.four_bar()
-    system = sj.compile_scene(scene).system
+    system = sj.equations.compile_scene(scene).system
     structure, theta = flatten_system(system)
     rate = program_for(state_rate, structure)
     start = sj.simulate(scene, cases.times(1e-3)).ys[0]

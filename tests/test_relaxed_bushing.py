@@ -13,7 +13,7 @@ from spherejax.motion.start.assembly import described_state
 
 START, K, INERTIA = 0.3, 12.0, 0.02
 STIFFNESS = np.diag([2e5, 2e5, 5e4])
-TORSION = sj.MatrixElastomer(STIFFNESS, np.zeros((3, 3)), np.diag([40.0, 40.0, K]), np.zeros((3, 3)))
+TORSION = sj.laws.MatrixElastomer(STIFFNESS, np.zeros((3, 3)), np.diag([40.0, 40.0, K]), np.zeros((3, 3)))
 
 
 def turned(angle):
@@ -59,7 +59,7 @@ JOINTS = {
 def scene_of(kind, relaxed):
     """The two bodies, joined with the same stiffness against all rotations."""
     along = np.diag([1e5, 1e5, 0.0 if kind == "prismatic" else 1e5])
-    law = sj.MatrixElastomer(along, np.zeros((3, 3)), K * np.eye(3), np.zeros((3, 3)))
+    law = sj.laws.MatrixElastomer(along, np.zeros((3, 3)), K * np.eye(3), np.zeros((3, 3)))
     bodies = {
         name: sj.Body(1.0, (0.1, 0.1, 0.1), quaternion=turn, points={"p": PLACE})
         for name, turn in zip(PAIR, (FIRST, SECOND), strict=True)
@@ -78,17 +78,17 @@ def test_the_moment_of_a_twist_acts_on_both_bodies(kind):
     """-K theta, theta from the relaxed orientation to that at the start, whatever the axes of bodies and joint."""
     relaxed = Rotation.from_rotvec(TWIST).inv() * FIRST.inv() * SECOND  # in the first body's axes theta is the twist
     moment = -K * FIRST.apply(TWIST)
-    found = np.asarray(spins(sj.compile_scene(scene_of(kind, relaxed)).system))
+    found = np.asarray(spins(sj.equations.compile_scene(scene_of(kind, relaxed)).system))
     np.testing.assert_allclose(found, [-moment / 0.1, moment / 0.1], rtol=1e-10)
-    assert np.abs(spins(sj.compile_scene(scene_of(kind, None)).system)).max() < 1e-10
+    assert np.abs(spins(sj.equations.compile_scene(scene_of(kind, None)).system)).max() < 1e-10
     given = 1.0005 * sj.orientation(rotation=relaxed)  # printed tables carry four digits
-    np.testing.assert_allclose(spins(sj.compile_scene(scene_of(kind, given)).system), found, rtol=1e-12)
+    np.testing.assert_allclose(spins(sj.equations.compile_scene(scene_of(kind, given)).system), found, rtol=1e-12)
 
 
 def test_the_moment_has_derivatives_by_the_relaxed_orientation():
     """Of a compiled system too, whose numbers are changed without the scene."""
     relaxed = sj.orientation(rotation=Rotation.from_rotvec(TWIST).inv() * FIRST.inv() * SECOND)
-    system = sj.compile_scene(scene_of("fixed", relaxed)).system
+    system = sj.equations.compile_scene(scene_of("fixed", relaxed)).system
 
     def by(quaternion):
         leaf = lambda system: system.joints["joint"].model.relaxed_quaternion  # noqa: E731
@@ -115,7 +115,7 @@ def test_it_stands_in_scene_files(tmp_path):
         (TORSION, (np.nan, 0.0, 0.0, 0.0), "relaxed_quaternion = .* must have unit norm"),
         (TORSION, (1.0, 0.0, 0.0), "relaxed_quaternion.*must be four numbers"),
         (
-            sj.VectorElastomer(1e5, 0.0),
+            sj.laws.VectorElastomer(1e5, 0.0),
             (1.0, 0.0, 0.0, 0.0),
             "relaxed_quaternion.*VectorElastomer leaves rotation free",
         ),
@@ -124,7 +124,7 @@ def test_it_stands_in_scene_files(tmp_path):
 def test_what_is_no_orientation_is_refused(law, relaxed, message):
     model = sj.Bushing(law=law, relaxed_quaternion=relaxed)
     with pytest.raises(sj.SceneError, match=f"(?s)joint 'joint'.*{message}"):
-        sj.compile_scene(
+        sj.equations.compile_scene(
             sj.Scene(
                 {"body": sj.Body(1.0, (0.1, 0.1, 0.1), points={"p": PLACE})},
                 {"joint": sj.Spherical("ground.o", "body.p", model)},

@@ -141,7 +141,7 @@ def test_a_failed_run_says_so_first_and_then_what_its_start_changed(read, tmp_pa
         warnings.simplefilter("always")
         failed = sj.simulate(thrown, jnp.asarray(TS), max_steps=3)
     top = verdict(failed.report(tmp_path / "failed.html").read_text(encoding="utf-8"))
-    (said,) = [str(one.message) for one in given if one.category is sj.StartWarning]
+    (said,) = [str(one.message) for one in given if one.category is sj.errors.StartWarning]
     assert "'hinge'" in said
     assert html.escape(said, quote=True) in top
     assert "starts with" not in read.text  # of a run that starts as it is described
@@ -199,7 +199,7 @@ def test_of_lanes_the_failed_one_is_told(tmp_path):
 @pytest.mark.parametrize("placed", [False, True])
 def test_every_number_stands_there_with_a_unit(scene, placed):
     scene = scene()
-    what = sj.compile_scene(scene).system if placed else scene
+    what = sj.equations.compile_scene(scene).system if placed else scene
     used = numbers_of(what)
     said = " ".join(one.value for one in used)
     for leaf in jax.tree.leaves(what):
@@ -270,7 +270,7 @@ def weighed(mass):
 def test_a_sweep_with_failed_runs(tmp_path):
     swept = sj.sweep(
         weighed,
-        sj.product({"mass": np.array([0.2, 0.4])}),
+        sj.studies.product({"mass": np.array([0.2, 0.4])}),
         TS[:11],
         record=["peak reaction.hinge"],
         max_steps=2,
@@ -300,7 +300,7 @@ def test_a_fit(tmp_path):
 
 @pytest.mark.slow
 def test_a_study_of_accuracy(tmp_path):
-    solvers = {name: sj.SOLVERS[name] for name in ("Dopri8",)}
+    solvers = {name: sj.studies.SOLVERS[name] for name in ("Dopri8",)}
     study = sj.work_precision({EVIL: pendulum()}, 0.2, solvers=solvers, tolerances=(1e-5,), n_repeats=1, n_samples=21)
     page = study.report(tmp_path / "accuracy.html").read_text(encoding="utf-8")
     assert "<script>alert" not in page

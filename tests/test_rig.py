@@ -31,7 +31,7 @@ GEOMETRY = (
 
 @pytest.fixture(scope="module")
 def wishbone():
-    return sj.rig(sj.gallery.double_wishbone(static_toe=TOE, static_camber=CAMBER), TRAVEL, steer=STEER)
+    return sj.vehicle.rig(sj.gallery.double_wishbone(static_toe=TOE, static_camber=CAMBER), TRAVEL, steer=STEER)
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +52,7 @@ def slope(function, x, h=1e-4):
 
 
 def test_double_wishbone_is_that_of_circles_and_spheres(wishbone, by_hand):
-    assert np.all(wishbone.status == sj.RigStatus.FOUND)
+    assert np.all(wishbone.status == sj.vehicle.RigStatus.FOUND)
     for i, (travel, steer) in enumerate(zip(TRAVEL, STEER, strict=True)):
         expected = read(by_hand, travel, steer)
         for name in GEOMETRY:
@@ -125,7 +125,7 @@ def test_roll_center_is_where_lines_through_instant_centers_meet():
         "upper_arm_rear": (-0.2, 0.42, 0.48),
         "upper_ball": (0.0, 0.65, 0.52),
     }
-    found = sj.rig(sj.gallery.double_wishbone(planar), 0.0)
+    found = sj.vehicle.rig(sj.gallery.double_wishbone(planar), 0.0)
     (a, b), (c, d) = (((0.36, 0.19), (0.70, 0.17)), ((0.42, 0.48), (0.65, 0.52)))
     lower, upper = (d[1] - c[1]) / (d[0] - c[0]), (b[1] - a[1]) / (b[0] - a[0])
     y = (a[1] - c[1] + lower * c[0] - upper * a[0]) / (lower - upper)
@@ -137,7 +137,7 @@ def test_roll_center_is_where_lines_through_instant_centers_meet():
 
 def test_mcpherson_is_that_of_six_equations():
     travel, steer = np.array([-0.06, 0.05, 0.0]), np.array([0.0, 0.0, 0.03])
-    found = sj.rig(sj.gallery.mcpherson(), travel, steer=steer)
+    found = sj.vehicle.rig(sj.gallery.mcpherson(), travel, steer=steer)
     p = {name: np.asarray(place) for name, place in MCPHERSON.items()}
     for i in range(3):
         at = mcpherson_at(MCPHERSON, travel[i], steer[i])
@@ -151,7 +151,7 @@ RADIAL, AXIAL = 8e6, 2e6
 
 def rubber(radial=RADIAL, axial=AXIAL, conical=0.0, torsional=1e-6):
     """Two stiffnesses of translation, and just as much torsion as a law of a joint that turns must have."""
-    law = sj.MatrixElastomer.cylindrical(
+    law = sj.laws.MatrixElastomer.cylindrical(
         (0.0, 0.0, 1.0),
         radial_stiffness=radial,
         axial_stiffness=axial,
@@ -168,7 +168,7 @@ def on_rubber():
     scene = sj.Scene(
         scene.bodies, scene.joints, scene.forces, gravity=(0.0, 0.0, 0.0), ground_points=scene.ground_points
     )
-    return sj.rig(scene, 0.0)
+    return sj.vehicle.rig(scene, 0.0)
 
 
 def forces_of_unit_loads(load):
@@ -240,9 +240,13 @@ def test_ideal_joints_do_not_give_way(wishbone):
 
 
 def test_positions_out_of_reach_say_so():
-    with pytest.warns(sj.RigWarning, match=r"1 of 3 positions .* travel = 0.8 m.*cannot reach"):
-        found = sj.rig(sj.gallery.double_wishbone(static_toe=TOE, static_camber=CAMBER), [0.0, 0.8, 0.02])
-    assert list(found.status) == [sj.RigStatus.FOUND, sj.RigStatus.OUT_OF_REACH, sj.RigStatus.FOUND]
+    with pytest.warns(sj.vehicle.RigWarning, match=r"1 of 3 positions .* travel = 0.8 m.*cannot reach"):
+        found = sj.vehicle.rig(sj.gallery.double_wishbone(static_toe=TOE, static_camber=CAMBER), [0.0, 0.8, 0.02])
+    assert list(found.status) == [
+        sj.vehicle.RigStatus.FOUND,
+        sj.vehicle.RigStatus.OUT_OF_REACH,
+        sj.vehicle.RigStatus.FOUND,
+    ]
     assert np.isnan(found.toe[1])
     assert np.isfinite(found.toe[[0, 2]]).all()
     assert "1 have no result" in str(found)
@@ -255,19 +259,22 @@ def test_positions_out_of_reach_say_so():
         ({"travel": "0.1"}, "travel .* must be one number or a list"),
         ({"travel": np.nan}, "travel = nan must be finite"),
         ({"travel": [0.0, 0.1], "steer": [0.0, 0.1, 0.2]}, "one length"),
-        ({"loads": {"lateral": 1.0}}, "must be sj.WheelLoads"),
+        ({"loads": {"lateral": 1.0}}, "must be sj.vehicle.WheelLoads"),
         ({"part": 0.0}, "part = 0 must be positive"),
-        ({"corner": sj.Corner(carrier="uprigth")}, "no body 'uprigth' carries the wheel; did you mean 'upright'"),
-        ({"corner": sj.Corner(spin_axis="spin")}, "has no point 'spin'; did you mean 'spin_axis'"),
-        ({"corner": sj.Corner(steering="steer")}, "no driver 'steer' that steers; did you mean 'steering'"),
-        ({"corner": sj.Corner(steering="rack_slide")}, "is no TranslationDriver"),
-        ({"corner": sj.Corner(spring="sprung")}, "no force 'sprung'; did you mean 'spring'"),
-        ({"corner": sj.Corner(kingpin=("upright.lower_ball",))}, "must be two points"),
+        (
+            {"corner": sj.vehicle.Corner(carrier="uprigth")},
+            "no body 'uprigth' carries the wheel; did you mean 'upright'",
+        ),
+        ({"corner": sj.vehicle.Corner(spin_axis="spin")}, "has no point 'spin'; did you mean 'spin_axis'"),
+        ({"corner": sj.vehicle.Corner(steering="steer")}, "no driver 'steer' that steers; did you mean 'steering'"),
+        ({"corner": sj.vehicle.Corner(steering="rack_slide")}, "is no TranslationDriver"),
+        ({"corner": sj.vehicle.Corner(spring="sprung")}, "no force 'sprung'; did you mean 'spring'"),
+        ({"corner": sj.vehicle.Corner(kingpin=("upright.lower_ball",))}, "must be two points"),
     ],
 )
 def test_bad_requests_are_named(change, words):
     with pytest.raises(sj.SceneError, match=words):
-        sj.rig(sj.gallery.double_wishbone(), **{"travel": 0.0, **change})
+        sj.vehicle.rig(sj.gallery.double_wishbone(), **{"travel": 0.0, **change})
 
 
 @pytest.mark.parametrize(
@@ -287,7 +294,7 @@ def test_bad_hardpoints_are_named(hardpoints, words):
 def test_films_and_journals_are_refused():
     film = sj.Lubricated(clearance=5e-5, viscosity=0.1)
     with pytest.raises(sj.SceneError, match=r"'lower_ball' is lubricated.*Take sj\.Dry"):
-        sj.rig(sj.gallery.double_wishbone(ball_joint=film), 0.0)
+        sj.vehicle.rig(sj.gallery.double_wishbone(ball_joint=film), 0.0)
 
 
 def test_table_dataset_and_figure_have_units(wishbone, tmp_path):
@@ -307,7 +314,7 @@ def test_table_dataset_and_figure_have_units(wishbone, tmp_path):
 
 
 def test_anti_dive_anti_lift_and_ackermann_by_their_formulas(wishbone):
-    car = sj.Vehicle(wheelbase=2.7, center_of_mass_height=0.55, brake_share=0.65)
+    car = sj.vehicle.Vehicle(wheelbase=2.7, center_of_mass_height=0.55, brake_share=0.65)
     expected = 0.65 * np.tan(wishbone.braking_angle) * 2.7 / 0.55
     assert wishbone.anti_dive(car) == pytest.approx(expected)
     rear = car._replace(is_rear=True)
@@ -328,7 +335,7 @@ ROD_HEIGHT = 0.235
 def with_rod_at(height, xp=jnp):
     """The rig of a corner whose tie rod starts at another height, at two travels."""
     scene = sj.gallery.double_wishbone({"tie_rod_inner": (-0.13, 0.365, height)})
-    return sj.rig(scene, xp.array([-0.03, 0.03]))
+    return sj.vehicle.rig(scene, xp.array([-0.03, 0.03]))
 
 
 def toe_by_hand(height, travel):
@@ -374,14 +381,16 @@ def at_height(height, mass=6.0):
 @pytest.mark.slow
 def test_samples_are_the_rigs_of_their_numbers():
     """Run by run; a travel out of reach is told with the first run's numbers."""
-    samples = sj.zipped({"height": [0.235, 0.24], "mass": [6.0, 7.0]})
-    with pytest.warns(sj.RigWarning, match=r"2 of 2 samples .* run 0 \(height = 0.235, mass = 6\) at travel = 0.8 m"):
-        found = sj.rig_samples(at_height, samples, [-0.04, 0.04, 0.8])
+    samples = sj.studies.zipped({"height": [0.235, 0.24], "mass": [6.0, 7.0]})
+    with pytest.warns(
+        sj.vehicle.RigWarning, match=r"2 of 2 samples .* run 0 \(height = 0.235, mass = 6\) at travel = 0.8 m"
+    ):
+        found = sj.vehicle.rig_samples(at_height, samples, [-0.04, 0.04, 0.8])
     assert found["toe"].dims == ("run", "travel")
     assert found["toe"].attrs["units"] == "rad"
     assert np.isnan(found["toe"][:, 2]).all()
     for run in (0, 1):
-        one = sj.rig(at_height(**samples.row(run)), [-0.04, 0.04])
+        one = sj.vehicle.rig(at_height(**samples.row(run)), [-0.04, 0.04])
         for name in ("toe", "wheel_rate", "wheel_load"):
             np.testing.assert_allclose(found[name][run, :2], getattr(one, name), rtol=1e-9)
     np.testing.assert_array_equal(found["height"], [0.235, 0.24])
@@ -389,16 +398,16 @@ def test_samples_are_the_rigs_of_their_numbers():
 
 def test_samples_that_are_not_legal_are_refused():
     with pytest.raises(sj.SceneError, match=r"mass.*-1"):
-        sj.rig_samples(at_height, {"height": [0.235, 0.24], "mass": [6.0, -1.0]})
+        sj.vehicle.rig_samples(at_height, {"height": [0.235, 0.24], "mass": [6.0, -1.0]})
 
 
 @pytest.mark.slow
 def test_rubber_follows_derivatives_and_vmap():
     """Stiffness of the bushes: toe under load by vmap, and its slope, against single rigs and their differences."""
-    loads = sj.WheelLoads(lateral=2000.0)
+    loads = sj.vehicle.WheelLoads(lateral=2000.0)
 
     def of(radial):
-        found = sj.rig(
+        found = sj.vehicle.rig(
             sj.gallery.double_wishbone(bushes=rubber(radial, conical=50.0, torsional=5.0)), 0.02, loads=loads
         )
         return jnp.stack([found.toe[0], found.compliance[0, 0, 1]])
@@ -416,10 +425,10 @@ def test_rubber_follows_derivatives_and_vmap():
 
 @pytest.mark.slow
 def test_stiff_rubber_and_tight_balls_tend_to_ideal_joints():
-    ideal = sj.rig(sj.gallery.double_wishbone(), [0.03])
+    ideal = sj.vehicle.rig(sj.gallery.double_wishbone(), [0.03])
     errors = []
     for radial in (1e8, 1e9):
-        found = sj.rig(sj.gallery.double_wishbone(bushes=rubber(radial, radial, 50.0, 1e-3)), [0.03])
+        found = sj.vehicle.rig(sj.gallery.double_wishbone(bushes=rubber(radial, radial, 50.0, 1e-3)), [0.03])
         errors.append(abs(found.toe[0] - ideal.toe[0]))
         assert found.wheel_rate[0] == pytest.approx(ideal.wheel_rate[0], rel=2e8 / radial * 5e-3)
     assert errors[1] == pytest.approx(errors[0] / 10, rel=0.05)
@@ -430,11 +439,11 @@ def test_a_dry_ball_lies_at_the_wall():
     """Loaded to both sides, the tie rod's outer ball takes its clearance: toe differs by what the lever makes of it."""
     clearance = 1e-4
     model = sj.Dry(clearance=clearance)
-    loose = sj.rig(
-        sj.gallery.double_wishbone(tie_rod_joint=model), [0.0, 0.0], loads=sj.WheelLoads(aligning=[-50.0, 50.0])
+    loose = sj.vehicle.rig(
+        sj.gallery.double_wishbone(tie_rod_joint=model), [0.0, 0.0], loads=sj.vehicle.WheelLoads(aligning=[-50.0, 50.0])
     )
-    ideal = sj.rig(sj.gallery.double_wishbone(tie_rod_joint=sj.Ideal()), [0.0, 0.0])
-    assert np.all(loose.status == sj.RigStatus.FOUND)
+    ideal = sj.vehicle.rig(sj.gallery.double_wishbone(tie_rod_joint=sj.Ideal()), [0.0, 0.0])
+    assert np.all(loose.status == sj.vehicle.RigStatus.FOUND)
     # A rod longer or shorter by the clearance turns the wheel as a rack does that is moved by it, up to the angle of
     # the rod against the rack, and a little more for what the contact gives way.
     lengths = np.array([DOUBLE_WISHBONE["tie_rod_outer"], DOUBLE_WISHBONE["tie_rod_inner"]])
@@ -451,6 +460,6 @@ def test_an_unloaded_ball_says_so():
     scene = sj.Scene(
         scene.bodies, scene.joints, scene.forces, gravity=(0.0, 0.0, 0.0), ground_points=scene.ground_points
     )
-    with pytest.warns(sj.RigWarning, match="carries no load"):
-        found = sj.rig(scene, 0.0)
-    assert found.status[0] == sj.RigStatus.UNLOADED
+    with pytest.warns(sj.vehicle.RigWarning, match="carries no load"):
+        found = sj.vehicle.rig(scene, 0.0)
+    assert found.status[0] == sj.vehicle.RigStatus.UNLOADED

@@ -14,7 +14,7 @@ def test_random_road_has_the_density_of_its_class():
     spacing, x = 0.1, np.arange(0.0, 2000.0, 0.1)
     densities = []
     for seed in range(8):
-        road = sj.RandomRoad.of_class("C", seed)
+        road = sj.functions.RandomRoad.of_class("C", seed)
         z = np.asarray(jax.vmap(road)(jnp.asarray(x)))
         assert z[0] == 0.0
         frequencies, density = welch(z, 1 / spacing, nperseg=4096)
@@ -27,29 +27,29 @@ def test_random_road_has_the_density_of_its_class():
 
 
 def test_seeds_differ_and_repeat_and_height_follows_the_root_of_roughness():
-    one, same, other = (sj.RandomRoad(64e-6, seed)(12.3) for seed in (1, 1, 2))
+    one, same, other = (sj.functions.RandomRoad(64e-6, seed)(12.3) for seed in (1, 1, 2))
     assert one == same != other
-    slope = jax.grad(lambda g: sj.RandomRoad(g, 1)(12.3))(64e-6)
+    slope = jax.grad(lambda g: sj.functions.RandomRoad(g, 1)(12.3))(64e-6)
     assert float(slope) == pytest.approx(float(one) / (2 * 64e-6), rel=1e-12)
 
 
 def test_bad_roads_are_named():
     with pytest.raises(sj.SceneError, match="no road class 'I'"):
-        sj.RandomRoad.of_class("I")
+        sj.functions.RandomRoad.of_class("I")
     with pytest.raises(sj.SceneError, match="waviness = 1 must lie between"):
-        sj.simulate(sj.gallery.double_wishbone(road=sj.RandomRoad(1e-6, waviness=1.0)), [0.0, 0.1])
+        sj.simulate(sj.gallery.double_wishbone(road=sj.functions.RandomRoad(1e-6, waviness=1.0)), [0.0, 0.1])
 
 
 def test_measured_profiles_have_units_and_lines(tmp_path):
     file = tmp_path / "road.csv"
     file.write_text("x [m], z [mm]\n0, 0\n0.5, 2\n1.0, 4\n2.0, 8\n")
-    assert float(sj.load_road(file)(0.75)) == pytest.approx(3e-3)
-    averaged = sj.load_road(file, spacing=1.0)
+    assert float(sj.vehicle.load_road(file)(0.75)) == pytest.approx(3e-3)
+    averaged = sj.vehicle.load_road(file, spacing=1.0)
     np.testing.assert_allclose(averaged.x, [0.5, 1.5])
     np.testing.assert_allclose(averaged.y, [2e-3, 6e-3])
     file.write_text("x [m], z [mm]\n0, 0\n0, 2\n")
     with pytest.raises(sj.SceneError, match=r"road\.csv:3: x = 0 m does not lie behind"):
-        sj.load_road(file)
+        sj.vehicle.load_road(file)
     file.write_text("x [m], y [mm]\n0, 0\n1, 2\n")
     with pytest.raises(sj.SceneError, match=r"column .*y \[mm\].* is none of a road"):
-        sj.load_road(file)
+        sj.vehicle.load_road(file)

@@ -111,11 +111,11 @@ def scene() -> sj.Scene:
     names = ("rotor", "wheel", "crank")
     bodies = {name: sj.Body(1.0, (0.01, 0.01, 0.02)) for name in names}
     bearings = {f"{name}_bearing": sj.Revolute(("ground", name), (0, 0, 0), axis) for name in names}
-    driver = sj.RotationDriver(("ground", "crank"), axis, sj.Linear(2.0))
+    driver = sj.RotationDriver(("ground", "crank"), axis, sj.functions.Linear(2.0))
     turns = [sj.Turn(("ground", name), axis) for name in ("rotor", "wheel")]
     forces = {
         "motor": sj.PID(turns[0], 3.0, 0.5, 1.0, of_rate=True),
-        "belt": sj.Coupler(turns[0], turns[1], stiffness=5.0, damping=0.1),
+        "belt": sj.forces.Coupler(turns[0], turns[1], stiffness=5.0, damping=0.1),
         "brake": sj.Actuator(turns[1], -0.01),
         "rim": sj.Actuator(sj.Turn(("ground", "wheel"), axis, radius=0.1), 0.1),
     }

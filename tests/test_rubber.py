@@ -14,9 +14,9 @@ from spherejax.physics.kinematics import RelativeMotion
 
 K, TIMES, STIFFNESSES = 2e5, np.array([0.1, 0.01]), np.array([1e5, 5e4])  # N/m, s, N/m
 LIMIT, HALF = 40.0, 1e-4  # N, m
-BRANCHES = sj.Maxwell(STIFFNESSES, TIMES)
-FRICTION = sj.Berg(LIMIT, HALF)
-SPRING = sj.VectorElastomer(K, 0.0)
+BRANCHES = sj.laws.Maxwell(STIFFNESSES, TIMES)
+FRICTION = sj.laws.Berg(LIMIT, HALF)
+SPRING = sj.laws.VectorElastomer(K, 0.0)
 MASS = 2.0
 
 
@@ -64,7 +64,7 @@ def linear_motion(ts, start, force=0.0, stiffnesses=STIFFNESSES, times=TIMES, da
 
 def test_creep_under_a_constant_load():
     ts = np.linspace(0.0, 0.5, 26)
-    model = sj.Bushing(law=sj.VectorElastomer(K, 1e-3), branches=BRANCHES)
+    model = sj.Bushing(law=sj.laws.VectorElastomer(K, 1e-3), branches=BRANCHES)
     run = sj.simulate(pressed(model, 30.0), ts, rtol=1e-10).require_success()
     exact = linear_motion(ts, (0.0, 0.0), 30.0, damping=1e-3)
     assert np.asarray(run.eccentricity("joint"))[:, 0] == pytest.approx(exact[:, 0], abs=1e-11)
@@ -90,7 +90,7 @@ def test_what_branches_dissipate_is_accounted_for():
 
 
 def test_relaxation_after_a_step():
-    step = sj.SmoothStep(0.0, 1e-3, 0.0, 1e-3)
+    step = sj.functions.SmoothStep(0.0, 1e-3, 0.0, 1e-3)
     ts = np.concatenate([[0.0], np.linspace(1e-3, 0.3, 31)])
     run = sj.simulate(driven(sj.Bushing(law=SPRING, branches=BRANCHES), step), ts, rtol=1e-10).require_success()
     lasting = resistance(run)[1:] - K * 1e-3
@@ -102,7 +102,7 @@ def test_relaxation_after_a_step():
 
 def test_steady_pull_is_resisted_as_by_dampers():
     ts, speed = np.linspace(0.0, 1.0, 11), 2e-3
-    run = sj.simulate(driven(sj.Bushing(law=SPRING, branches=BRANCHES), sj.Linear(speed)), ts, rtol=1e-10)
+    run = sj.simulate(driven(sj.Bushing(law=SPRING, branches=BRANCHES), sj.functions.Linear(speed)), ts, rtol=1e-10)
     grown = STIFFNESSES * TIMES * speed * (1 - np.exp(-ts[:, None] / TIMES))
     assert resistance(run.require_success()) == pytest.approx(K * speed * ts + grown.sum(1), abs=1e-6)
 
@@ -110,7 +110,7 @@ def test_steady_pull_is_resisted_as_by_dampers():
 def harmonic(model, frequency, amplitude, cycles, n=64):
     """Resistance over the last cycle of a driven joint, at n equal times, and the times."""
     ts = np.concatenate([[0.0], (cycles - 1 + np.arange(n) / n) / frequency])
-    run = sj.simulate(driven(model, sj.Sine(amplitude, frequency)), ts, rtol=1e-9).require_success()
+    run = sj.simulate(driven(model, sj.functions.Sine(amplitude, frequency)), ts, rtol=1e-9).require_success()
     return ts[1:], resistance(run)[1:]
 
 
@@ -151,7 +151,7 @@ def test_friction_loop_against_its_closed_form(r):
 
 def test_friction_is_berg_s_curve_from_rest_and_stiffer_for_small_amplitudes():
     ts = np.linspace(0.0, 1.0, 21)
-    run = sj.simulate(driven(sj.Bushing(law=SPRING, friction=FRICTION), sj.Linear(5e-4)), ts, rtol=1e-10)
+    run = sj.simulate(driven(sj.Bushing(law=SPRING, friction=FRICTION), sj.functions.Linear(5e-4)), ts, rtol=1e-10)
     x = 5e-4 * ts
     assert resistance(run.require_success()) == pytest.approx(K * x + LIMIT * x / (x + HALF), abs=1e-6)
     r = np.array([1e-3, 0.1, 1.0, 10.0])
@@ -184,7 +184,7 @@ def test_how_it_differs_from_berg_s_own_law_is_as_the_docstring_says():
             rising = bergs_own(x + r, -end)
             loss = 2 * np.trapezoid(rising, x)  # the falling curve is the rising one turned about the origin
             assert loss == pytest.approx(8 / 3 * r**3, rel=0.01)
-    # Its slope is that of `sj.Berg` over (1 - mu)^2.
+    # Its slope is that of `sj.laws.Berg` over (1 - mu)^2.
     slope = (bergs_own(0.3 + 1e-6, -0.5) - bergs_own(0.3 - 1e-6, -0.5)) / 2e-6
     assert slope == pytest.approx((1 - bergs_own(0.3, -0.5)) ** 2 / 1.5**2, rel=1e-8)
 
@@ -208,21 +208,21 @@ def test_free_vibration_with_friction_against_another_integrator():
 
 # What must hold at any motion -----------------------------------------------------------------------------------------
 
-HINGE = sj.HingeElastomer(np.diag([3e4, 3e4, 0.0]), np.zeros((3, 3)), 50.0)
-CROSS = sj.CrossElastomer(3e4 * np.eye(3), np.zeros((3, 3)), 50.0)
-SIX = sj.MatrixElastomer(3e4 * np.eye(3), np.zeros((3, 3)), 50.0 * np.eye(3))
+HINGE = sj.laws.HingeElastomer(np.diag([3e4, 3e4, 0.0]), np.zeros((3, 3)), 50.0)
+CROSS = sj.laws.CrossElastomer(3e4 * np.eye(3), np.zeros((3, 3)), 50.0)
+SIX = sj.laws.MatrixElastomer(3e4 * np.eye(3), np.zeros((3, 3)), 50.0 * np.eye(3))
 TURNING = {"rotational_stiffness": [[30.0, 20.0, 10.0], [5.0, 5.0, 5.0]]}
-SLIDING = {"branches": sj.Maxwell([[2e4, 2e4, 0.0], [1e4, 1e4, 0.0]], TIMES, **TURNING)}
+SLIDING = {"branches": sj.laws.Maxwell([[2e4, 2e4, 0.0], [1e4, 1e4, 0.0]], TIMES, **TURNING)}
 TILTED = {"rotational_limit": 0.3, "half_angle": 0.02}
 MODELS = {
     "vector": sj.Bushing(law=SPRING, branches=BRANCHES, friction=FRICTION),
     "radial": sj.Bushing(K, 0.0, branches=BRANCHES, friction=FRICTION),
-    "curve": sj.Bushing(law=sj.CurveElastomer([1e-4, 1e-3], [10.0, 200.0], 0.0), friction=FRICTION),
+    "curve": sj.Bushing(law=sj.laws.CurveElastomer([1e-4, 1e-3], [10.0, 200.0], 0.0), friction=FRICTION),
     "six": sj.Bushing(
-        law=SIX, branches=sj.Maxwell(STIFFNESSES, TIMES, **TURNING), friction=sj.Berg(LIMIT, HALF, **TILTED)
+        law=SIX, branches=sj.laws.Maxwell(STIFFNESSES, TIMES, **TURNING), friction=sj.laws.Berg(LIMIT, HALF, **TILTED)
     ),
-    "hinge": sj.Bushing(law=HINGE, **SLIDING, friction=sj.Berg([40.0, 40.0, 0.0], HALF, **TILTED)),
-    "cross": sj.Bushing(law=CROSS, **SLIDING, friction=sj.Berg(LIMIT, HALF, **TILTED)),
+    "hinge": sj.Bushing(law=HINGE, **SLIDING, friction=sj.laws.Berg([40.0, 40.0, 0.0], HALF, **TILTED)),
+    "cross": sj.Bushing(law=CROSS, **SLIDING, friction=sj.laws.Berg(LIMIT, HALF, **TILTED)),
 }
 models = pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)
 
@@ -334,7 +334,7 @@ def test_a_rigid_rotation_of_the_pair_changes_nothing(model):
 
 def test_a_hinge_turns_freely_and_a_cross_about_both_arms():
     for law, spin in ((HINGE, (0.0, 0.0, 5.0)), (CROSS, (3.0, 0.0, 5.0))):
-        model = sj.Bushing(law=law, **SLIDING, friction=sj.Berg([1.0, 1.0, 0.0], HALF, **TILTED))
+        model = sj.Bushing(law=law, **SLIDING, friction=sj.laws.Berg([1.0, 1.0, 0.0], HALF, **TILTED))
         zero = np.zeros(3)
         motion = moving(np.zeros(18))._replace(ball_angular_velocity=np.array(spin), eccentricity=zero)
         response = model.respond(motion, jnp.zeros(len(model.memory)))
@@ -344,7 +344,7 @@ def test_a_hinge_turns_freely_and_a_cross_about_both_arms():
 def test_friction_stays_within_its_limit_on_any_path():
     """Steps of random velocity, integrated by another program."""
     random = np.random.default_rng(3)
-    friction = sj.Berg(LIMIT, HALF)
+    friction = sj.laws.Berg(LIMIT, HALF)
     rate = jax.jit(lambda z, v: friction.rate(z, v))
     z, largest = np.zeros(3), 0.0
     for _ in range(60):
@@ -377,9 +377,9 @@ def test_derivatives_are_finite_at_rest_and_agree(model):
 def test_nothing_is_compiled_in_unasked():
     plain = sj.Bushing(law=SPRING)
     assert plain.memory == ()
-    assert sj.compile_scene(sj.gallery.four_bar(plain)).system.layout.n_memory == 0
+    assert sj.equations.compile_scene(sj.gallery.four_bar(plain)).system.layout.n_memory == 0
     rubber = sj.Bushing(law=SPRING, branches=BRANCHES, friction=FRICTION)
-    assert sj.compile_scene(sj.gallery.four_bar(rubber)).system.layout.n_memory == 9
+    assert sj.equations.compile_scene(sj.gallery.four_bar(rubber)).system.layout.n_memory == 9
     effects = [effect.name for effect in rubber.effects]
     assert effects == [
         "elastomer, translation (VectorElastomer)",
@@ -399,7 +399,7 @@ def test_nothing_is_compiled_in_unasked():
 
 @pytest.mark.parametrize("rtol", [1e-5, 1e-8])
 def test_a_fast_branch_gets_a_stiff_method(rtol):
-    model = sj.Bushing(law=sj.VectorElastomer(K, 1e-3), branches=sj.Maxwell(STIFFNESSES, [0.1, 1e-8]))
+    model = sj.Bushing(law=sj.laws.VectorElastomer(K, 1e-3), branches=sj.laws.Maxwell(STIFFNESSES, [0.1, 1e-8]))
     ts = np.linspace(0.0, 0.05, 6)
     run = sj.simulate(pressed(model, 30.0), ts, rtol=rtol, max_steps=2000).require_success()
     assert "Ro" in run.stats.explanation.split(":")[0]
@@ -413,7 +413,7 @@ def test_a_fast_branch_gets_a_stiff_method(rtol):
 def test_friction_of_a_short_reach_gets_a_stiff_method():
     explanations = []
     for half in (1e-4, 1e-9):
-        model = sj.Bushing(law=sj.VectorElastomer(K, 1e-3), friction=sj.Berg(0.1, half))
+        model = sj.Bushing(law=sj.laws.VectorElastomer(K, 1e-3), friction=sj.laws.Berg(0.1, half))
         run = sj.simulate(sj.gallery.four_bar(model), np.linspace(0.0, 0.01, 3), max_steps=5000).require_success()
         explanations.append(run.stats.explanation.partition(":")[0])
     assert explanations == ["Dopri8", "Rodas5P"]
@@ -434,7 +434,7 @@ def test_histories_of_rubber_can_be_drawn():
 def test_errors_of_remembered_deflections_are_judged_as_those_of_positions():
     from spherejax.motion.start.tolerances import component_tolerances
 
-    system = sj.compile_scene(sj.gallery.four_bar(MODELS["six"])).system
+    system = sj.equations.compile_scene(sj.gallery.four_bar(MODELS["six"])).system
     tolerances = component_tolerances(system, 1e-8)
     memory = np.asarray(tolerances.atol)[system.layout.memory_start :][: system.layout.n_memory].reshape(-1, 3)
     position, quaternion = np.asarray(tolerances.atol)[0], np.asarray(tolerances.atol)[3]
@@ -455,8 +455,8 @@ def test_a_loaded_start_is_relaxed():
 
 def test_derivatives_of_a_run_by_stiffness_and_time():
     def end(x):
-        branches = sj.Maxwell([x[0], 5e4], [x[1], 0.01])
-        model = sj.Bushing(law=SPRING, branches=branches, friction=sj.Berg(x[2], x[3]))
+        branches = sj.laws.Maxwell([x[0], 5e4], [x[1], 0.01])
+        model = sj.Bushing(law=SPRING, branches=branches, friction=sj.laws.Berg(x[2], x[3]))
         run = sj.simulate(pressed(model, 30.0), jnp.linspace(0.0, 0.06, 3), rtol=1e-10)
         return run.eccentricity("joint")[-1, 0] * 1e4
 
@@ -473,7 +473,7 @@ def test_derivatives_of_a_run_by_stiffness_and_time():
 
 def test_branches_are_found_in_a_record_of_creep():
     def build(stiffness, time):
-        return pressed(sj.Bushing(law=SPRING, branches=sj.Maxwell(stiffness, time)), 30.0)
+        return pressed(sj.Bushing(law=SPRING, branches=sj.laws.Maxwell(stiffness, time)), 30.0)
 
     ts = np.linspace(0.0, 0.3, 61)
     exact = linear_motion(ts, (0.0, 0.0), 30.0)[:, 0]
@@ -488,22 +488,22 @@ def test_branches_are_found_in_a_record_of_creep():
 # Bad input ------------------------------------------------------------------------------------------------------------
 
 BAD = {
-    "a negative time": (lambda: sj.Bushing(K, branches=sj.Maxwell([1e5], [-0.1])), "branches.time"),
-    "no time": (lambda: sj.Bushing(K, branches=sj.Maxwell([1e5], [0.0])), "branches.time"),
-    "lengths that differ": (lambda: sj.Bushing(K, branches=sj.Maxwell([1e5, 1e4], [0.1])), "branches.stiffness"),
-    "two along the axes": (lambda: sj.Bushing(K, branches=sj.Maxwell([[1e5, 1e4]], [0.1])), "rows of three"),
-    "no branches": (lambda: sj.Bushing(K, branches=sj.Maxwell([], [])), "list of numbers"),
-    "a text": (lambda: sj.Bushing(K, branches=sj.Maxwell("1e5", 0.1)), "stiffness"),
-    "a negative stiffness": (lambda: sj.Bushing(K, branches=sj.Maxwell([-1e5], [0.1])), "branches.stiffness"),
-    "nan": (lambda: sj.Bushing(K, branches=sj.Maxwell([np.nan], [0.1])), "branches.stiffness"),
-    "a negative limit": (lambda: sj.Bushing(K, friction=sj.Berg(-1.0, 1e-4)), "friction.limit"),
-    "no length": (lambda: sj.Bushing(K, friction=sj.Berg(1.0, 0.0)), "friction.half_length"),
-    "two limits": (lambda: sj.Bushing(K, friction=sj.Berg([1.0, 2.0], 1e-4)), "friction.limit"),
+    "a negative time": (lambda: sj.Bushing(K, branches=sj.laws.Maxwell([1e5], [-0.1])), "branches.time"),
+    "no time": (lambda: sj.Bushing(K, branches=sj.laws.Maxwell([1e5], [0.0])), "branches.time"),
+    "lengths that differ": (lambda: sj.Bushing(K, branches=sj.laws.Maxwell([1e5, 1e4], [0.1])), "branches.stiffness"),
+    "two along the axes": (lambda: sj.Bushing(K, branches=sj.laws.Maxwell([[1e5, 1e4]], [0.1])), "rows of three"),
+    "no branches": (lambda: sj.Bushing(K, branches=sj.laws.Maxwell([], [])), "list of numbers"),
+    "a text": (lambda: sj.Bushing(K, branches=sj.laws.Maxwell("1e5", 0.1)), "stiffness"),
+    "a negative stiffness": (lambda: sj.Bushing(K, branches=sj.laws.Maxwell([-1e5], [0.1])), "branches.stiffness"),
+    "nan": (lambda: sj.Bushing(K, branches=sj.laws.Maxwell([np.nan], [0.1])), "branches.stiffness"),
+    "a negative limit": (lambda: sj.Bushing(K, friction=sj.laws.Berg(-1.0, 1e-4)), "friction.limit"),
+    "no length": (lambda: sj.Bushing(K, friction=sj.laws.Berg(1.0, 0.0)), "friction.half_length"),
+    "two limits": (lambda: sj.Bushing(K, friction=sj.laws.Berg([1.0, 2.0], 1e-4)), "friction.limit"),
     "no moments": (
-        lambda: sj.Bushing(K, branches=sj.Maxwell([1.0], [0.1], rotational_stiffness=[1.0])),
+        lambda: sj.Bushing(K, branches=sj.laws.Maxwell([1.0], [0.1], rotational_stiffness=[1.0])),
         "branches.rotational_stiffness",
     ),
-    "a class": (lambda: sj.Bushing(K, branches=sj.Maxwell), "branches"),
+    "a class": (lambda: sj.Bushing(K, branches=sj.laws.Maxwell), "branches"),
     "another part": (lambda: sj.Bushing(K, friction=sj.LuGre()), "friction"),
 }
 
@@ -515,7 +515,7 @@ def test_bad_input_is_named(make, named):
 
 
 def test_what_slides_is_not_held():
-    for part in ({"branches": sj.Maxwell([1e3], [0.1])}, {"friction": sj.Berg(1.0, 1e-4)}):
+    for part in ({"branches": sj.laws.Maxwell([1e3], [0.1])}, {"friction": sj.laws.Berg(1.0, 1e-4)}):
         joint = sj.Cylindrical(
             ("ground", "ball"), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), model=sj.Bushing(law=HINGE, **part)
         )
@@ -526,12 +526,14 @@ def test_what_slides_is_not_held():
 
 def test_half_of_rotational_friction_is_refused():
     with pytest.raises(TypeError, match="half_angle"):
-        sj.Berg(1.0, 1e-4, rotational_limit=1.0)
+        sj.laws.Berg(1.0, 1e-4, rotational_limit=1.0)
 
 
 def test_bad_traced_numbers_are_that_lane_s_status():
     def end(tau):
-        run = sj.simulate(pressed(sj.Bushing(K, 0.0, branches=sj.Maxwell([1e5], [tau])), 1.0), [0.0, 1e-3], throw=False)
+        run = sj.simulate(
+            pressed(sj.Bushing(K, 0.0, branches=sj.laws.Maxwell([1e5], [tau])), 1.0), [0.0, 1e-3], throw=False
+        )
         return run.succeeded, run.eccentricity("joint")[-1, 0]
 
     succeeded, _ = jax.vmap(end)(jnp.array([0.1, -0.1]))
@@ -562,7 +564,7 @@ def test_rubber_in_a_file_with_units(tmp_path):
     path = tmp_path / "rubber.toml"
     path.write_text(text)
     read = sj.load_scene(path).joints["joint"].model
-    assert isinstance(read.branches, sj.Maxwell)
+    assert isinstance(read.branches, sj.laws.Maxwell)
     assert np.asarray(read.branches.stiffness) == pytest.approx(STIFFNESSES)
     assert np.asarray(read.branches.time) == pytest.approx(TIMES)
     assert float(read.friction.limit) == pytest.approx(LIMIT)

@@ -35,7 +35,7 @@ VECTOR = jax.ShapeDtypeStruct((3,), jnp.float64)
 
 def prepared(scene, track_work=True):
     """System, structure, numbers and assembled start of a scene."""
-    system = sj.compile_scene(scene, track_work=track_work).system
+    system = sj.equations.compile_scene(scene, track_work=track_work).system
     structure, theta = flatten_system(system)
     return system, structure, theta, start_now(system, np.zeros(1))
 
@@ -133,7 +133,7 @@ def test_array_path_gives_the_same_motion():
 # A user's own laws ---------------------------------------------------------------------------------------------------
 
 
-class Spring(sj.AbstractForce):
+class Spring(sj.forces.AbstractForce):
     """A spring between the rocker and the world's origin that stiffens with its length, written by a user."""
 
     stiffness: float
@@ -141,10 +141,12 @@ class Spring(sj.AbstractForce):
     def wrenches(self, t, motions):
         r = motions["rocker"].position
         length = jnp.linalg.norm(r)
-        return {"rocker": sj.Wrench(-self.stiffness * length**2.5 * jnp.cos(t) * r, jnp.cross(r, jnp.ones(3)) * 1e-3)}
+        return {
+            "rocker": sj.forces.Wrench(-self.stiffness * length**2.5 * jnp.cos(t) * r, jnp.cross(r, jnp.ones(3)) * 1e-3)
+        }
 
 
-class PlainHertz(sj.AbstractNormalLaw):
+class PlainHertz(sj.laws.AbstractNormalLaw):
     """Hertz's law as a user would write it: without any of the package's guards."""
 
     stiffness: float | None = None
@@ -158,7 +160,7 @@ class PlainHertz(sj.AbstractNormalLaw):
         return []
 
 
-class StiffRubber(sj.AbstractHysteresisLaw):
+class StiffRubber(sj.laws.AbstractHysteresisLaw):
     """A hysteresis factor of the user's own."""
 
     restitution: float
@@ -199,7 +201,7 @@ def test_powers_keep_their_derivative_at_zero(exponent):
     def power(x):
         return jnp.maximum(x, 0.0) ** exponent
 
-    program = sj.scalarize(power, SCALAR)
+    program = sj.compiler.scalarize(power, SCALAR)
     for x in (-1.0, 0.0, 4.0):
         assert float(program(x)) == pytest.approx(float(power(x)), rel=1e-15)
         assert float(jax.grad(program)(x)) == pytest.approx(float(jax.grad(power)(x)), rel=1e-14)
@@ -251,18 +253,18 @@ WITH_RULES = {
 @pytest.mark.parametrize("name", WITH_RULES)
 def test_derivative_rules_are_followed(name):
     function = WITH_RULES[name]
-    program = sj.scalarize(function, VECTOR)
+    program = sj.compiler.scalarize(function, VECTOR)
     for way in (lambda f: f, jax.jacfwd, jax.jacrev, jax.hessian, lambda f: jax.jacfwd(jax.hessian(f))):
         for v in map(jnp.array, ((0.3, -1.2, 2.1), (0.0, 0.0, 0.0), (1.0, 1.0, -1.0))):
             assert_agree(way(program)(v), way(function)(v))
 
 
 def test_derivative_rule_of_too_high_an_order_is_refused():
-    function = sj.scalarize(_root, SCALAR)
+    function = sj.compiler.scalarize(_root, SCALAR)
     for _ in range(3):
         function = jax.grad(function)
     assert float(function(4.0)) == pytest.approx(0.375 / 32, rel=1e-14)
-    with pytest.raises(sj.NotScalarizable, match="custom_jvp"):
+    with pytest.raises(sj.compiler.NotScalarizable, match="custom_jvp"):
         jax.grad(function)(4.0)
 
 
@@ -298,8 +300,8 @@ def test_unknown_operation_is_refused_or_right(name):
     function, reason = UNKNOWN[name]
     v = jnp.array([0.3, -1.2, 2.1])
     try:
-        program = sj.scalarize(function, VECTOR)
-    except sj.NotScalarizable as refusal:
+        program = sj.compiler.scalarize(function, VECTOR)
+    except sj.compiler.NotScalarizable as refusal:
         said = str(refusal)
     else:
         said = None
@@ -307,14 +309,14 @@ def test_unknown_operation_is_refused_or_right(name):
     assert said is None or re.search(reason, said)
 
 
-class Odd(sj.AbstractForce):
+class Odd(sj.forces.AbstractForce):
     """A force with an operation that has no scalar rule."""
 
     kind: str = eqx.field(static=True)
 
     def wrenches(self, t, motions):
         r = UNKNOWN[self.kind][0](motions["rocker"].position)
-        return {"rocker": sj.Wrench(0.01 * r, jnp.zeros(3))}
+        return {"rocker": sj.forces.Wrench(0.01 * r, jnp.zeros(3))}
 
 
 @pytest.mark.parametrize("kind", ["sort", "eigh", "custom_vjp"])
@@ -323,7 +325,7 @@ def test_unknown_operation_falls_back_with_a_warning_and_right_values(kind):
     scene = sj.Scene(scene.bodies, scene.joints, {"odd": Odd(kind)}, gravity=scene.gravity)
     system, structure, theta, start = prepared(scene, track_work=False)
     y = cases.displaced_state(system, start, 1, 1e-3)
-    with pytest.warns(sj.ArrayPathWarning, match=f"state_rate runs as array code.*{UNKNOWN[kind][1]}"):
+    with pytest.warns(sj.errors.ArrayPathWarning, match=f"state_rate runs as array code.*{UNKNOWN[kind][1]}"):
         program = program_for(state_rate, structure)
     assert program.scalar is None
     assert_agree(program(theta, 0.0, y), state_rate(structure.system(jnp.asarray(theta)), 0.0, y))
@@ -335,14 +337,16 @@ def test_unknown_operation_falls_back_with_a_warning_and_right_values(kind):
 def test_fallback_simulates():
     body = sj.Body(1.0, (1.0, 1.0, 1.0))
 
-    class Sorted(sj.AbstractForce):
+    class Sorted(sj.forces.AbstractForce):
         def wrenches(self, t, motions):
             return {
-                "body": sj.Wrench(jnp.sort(jnp.array([1.0, 3.0, 2.0]) + 0 * motions["body"].position), jnp.zeros(3))
+                "body": sj.forces.Wrench(
+                    jnp.sort(jnp.array([1.0, 3.0, 2.0]) + 0 * motions["body"].position), jnp.zeros(3)
+                )
             }
 
     scene = sj.Scene({"body": body}, {}, {"push": Sorted()}, gravity=(0.0, 0.0, 0.0))
-    with pytest.warns(sj.ArrayPathWarning, match="sort"):
+    with pytest.warns(sj.errors.ArrayPathWarning, match="sort"):
         run = sj.simulate(scene, cases.times(2.0))
     assert np.asarray(run.position("body")[-1]) == pytest.approx([2.0, 4.0, 6.0], abs=1e-9)
 
@@ -355,7 +359,7 @@ def test_force_as_a_function_of_time():
 
 
 def test_wrong_shapes_are_named():
-    program = sj.scalarize(lambda v: 2 * v, VECTOR)
+    program = sj.compiler.scalarize(lambda v: 2 * v, VECTOR)
     with pytest.raises(ValueError, match=r"made for shapes \[\(3,\)\], got \[\(4,\)\]"):
         program(jnp.zeros(4))
     with pytest.raises(ValueError, match="made for shapes"):
@@ -363,8 +367,8 @@ def test_wrong_shapes_are_named():
 
 
 def test_programs_that_are_too_long_are_refused():
-    with pytest.raises(sj.NotScalarizable, match="more than 10 scalar operations"):
-        sj.scalarize(
+    with pytest.raises(sj.compiler.NotScalarizable, match="more than 10 scalar operations"):
+        sj.compiler.scalarize(
             lambda v: jnp.sum(jnp.sin(jnp.outer(v, v)) @ jnp.outer(v, jnp.cos(v))), VECTOR, maximum_operations=10
         )
 
@@ -373,7 +377,7 @@ def test_programs_that_are_too_long_are_refused():
 
 
 def operations(function, *shapes, **options):
-    return dict(sj.scalarize(function, *shapes, **options).operations)
+    return dict(sj.compiler.scalarize(function, *shapes, **options).operations)
 
 
 def test_structural_zeros_and_ones_fold():
@@ -402,7 +406,7 @@ def test_fixed_entries_are_folded_and_not_read():
 
     assert operations(function, VECTOR, fixed={(0, 0): 0.0}) == {}
     assert operations(function, VECTOR, fixed={(0, 0): 1.0}) == {"add": 1}
-    program = sj.scalarize(function, VECTOR, fixed={(0, 0): 1.0})
+    program = sj.compiler.scalarize(function, VECTOR, fixed={(0, 0): 1.0})
     assert float(program(jnp.array([np.nan, 2.0, 3.0]))) == 5.0
 
 
@@ -440,7 +444,7 @@ def test_known_branches_are_taken_and_unknown_ones_selected():
 
     for x in (-1.5, 1.5):
         assert float(function(x)) == abs(x) * (2 if x > 0 else 1)
-    program = sj.scalarize(function, SCALAR)
+    program = sj.compiler.scalarize(function, SCALAR)
     for x in (-1.5, 1.5):
         assert float(program(x)) == float(function(x))
     assert operations(lambda x: jax.lax.cond(np.bool_(True), lambda x: 2 * x, lambda x: jnp.sin(x), x), SCALAR) == {
@@ -453,11 +457,11 @@ def test_loops_of_known_length_unroll():
         return jax.lax.scan(lambda c, x: (c * x, c + x), 1.0, v, reverse=True)
 
     v = jnp.array([0.3, -1.2, 2.1])
-    assert_agree(sj.scalarize(function, VECTOR)(v), function(v))
+    assert_agree(sj.compiler.scalarize(function, VECTOR)(v), function(v))
 
 
 def test_what_is_constant_moves_ahead_of_the_loop():
-    program = sj.scalarize(lambda v, x: jnp.sin(v[0]) * jnp.cos(v[1]) * x, VECTOR, SCALAR)
+    program = sj.compiler.scalarize(lambda v, x: jnp.sin(v[0]) * jnp.cos(v[1]) * x, VECTOR, SCALAR)
     assert program.n_operations == 4
     assert program.n_operations_inside == 1
     v = jnp.array([0.3, -1.2, 2.1])
@@ -487,7 +491,7 @@ def test_symmetric_solve_solves_in_every_form():
     assert np.asarray(symmetric_solve(S, b)) == pytest.approx(np.linalg.solve(S, b), rel=1e-12)
     assert np.asarray(symmetric_solve(S, B)) == pytest.approx(np.linalg.solve(S, B), rel=1e-12)
     matrix, right = jax.ShapeDtypeStruct((5, 5), jnp.float64), jax.ShapeDtypeStruct((5,), jnp.float64)
-    program = sj.scalarize(symmetric_solve, matrix, right)
+    program = sj.compiler.scalarize(symmetric_solve, matrix, right)
     assert np.asarray(program(S, b)) == pytest.approx(np.linalg.solve(S, b), rel=1e-12)
     assert symmetric_solve(jnp.zeros((0, 0)), jnp.zeros(0)).shape == (0,)
     assert not np.isfinite(symmetric_solve(-S, b)).all()
@@ -536,7 +540,7 @@ def test_elimination_order_keeps_an_arrow_sparse():
         return symmetric_solve(S, b)
 
     shapes = [jax.ShapeDtypeStruct((k,), jnp.float64) for k in (n, n - 1, n)]
-    program = sj.scalarize(solve, *shapes)
+    program = sj.compiler.scalarize(solve, *shapes)
     assert program.n_operations < 10 * n  # about 150 when it fills
     diagonal, edge, b = jnp.full(n, 5.0), jnp.linspace(0.1, 0.6, n - 1), jnp.arange(1.0, n + 1)
     assert np.asarray(program(diagonal, edge, b)) == pytest.approx(np.asarray(solve(diagonal, edge, b)), rel=1e-13)
@@ -548,7 +552,7 @@ def test_sums_over_nothing():
         return jnp.sum(nothing) + nothing @ nothing + x @ jnp.zeros((3, 0)) @ jnp.zeros(0) + x[0]
 
     x = jnp.array([2.0, 3.0, 4.0])
-    assert float(sj.scalarize(function, x)(x)) == function(x) == 2.0
+    assert float(sj.compiler.scalarize(function, x)(x)) == function(x) == 2.0
 
 
 QUICK = "four_bar_ideal", "four_bar_friction", "four_bar_bushing", "pendulum", "heavy_top"

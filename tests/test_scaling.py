@@ -148,7 +148,7 @@ def test_array_code_shows_whether_time_enters():
 
 def test_a_run_switches_by_itself_and_says_so(monkeypatch):
     """Warnings are errors here: none is given."""
-    scene, ts = sj.gallery.chain(3, drift=sj.NoDriftControl()), jnp.array([0.0, 0.05])
+    scene, ts = sj.gallery.chain(3, drift=sj.solvers.NoDriftControl()), jnp.array([0.0, 0.05])
     asked = sj.simulate(scene, ts, scalar=True)
     monkeypatch.setattr(programs, "LARGEST_SCALAR_PROGRAM", 500)
     made_program.cache_clear()
@@ -204,7 +204,7 @@ def test_solves_blocks(name):
     b = np.random.default_rng(1).standard_normal((pattern.n_blocks, M))
     expected = np.linalg.solve(S, b.ravel()).reshape(b.shape)
     np.testing.assert_allclose(block_solve(pattern, diagonal, pairs, b), expected, rtol=1e-9)
-    program = sj.scalarize(lambda d, p, b: block_solve(pattern, d, p, b), diagonal, pairs, b)
+    program = sj.compiler.scalarize(lambda d, p, b: block_solve(pattern, d, p, b), diagonal, pairs, b)
     np.testing.assert_allclose(program.compute(diagonal, pairs, b), expected, rtol=1e-9)
 
 

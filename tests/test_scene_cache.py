@@ -75,7 +75,7 @@ def test_whatever_changes_is_seen(counted):
     spinning = {"velocity": (0.0, 0.0, -0.3), "angular_velocity": (0.0, 1.0, 0.0)}
     scene.bodies["rod"] = replace(scene.bodies["rod"], **spinning)
     assert height(scene) != heavier
-    scene.forces["pull"] = sj.AppliedWrench("rod", force=sj.Constant((0.0, 0.0, 9.81)))
+    scene.forces["pull"] = sj.AppliedWrench("rod", force=sj.functions.Constant((0.0, 0.0, 9.81)))
     assert height(scene) > heavier
     assert len(counted) == 6
 
@@ -251,7 +251,7 @@ def test_warnings_are_given_each_time():
     scene = pendulum()
     scene.bodies["rod"] = replace(scene.bodies["rod"], velocity=(1.0, 0.0, 0.0))
     for _ in range(2):
-        with pytest.warns(sj.StartWarning, match="rod"):
+        with pytest.warns(sj.errors.StartWarning, match="rod"):
             height(scene)
 
 
@@ -276,11 +276,11 @@ def test_traced_numbers_are_not_remembered_and_leave_nothing_behind(counted):
 def test_a_driven_start_depends_on_its_time(counted):
     def scene():
         bodies, axis = ("ground", "rod"), (0.0, 1.0, 0.0)
-        driver = sj.RotationDriver(bodies, axis, angle=sj.Linear(slope=1.0))
+        driver = sj.RotationDriver(bodies, axis, angle=sj.functions.Linear(slope=1.0))
         return replace(pendulum(), joints={"hinge": sj.Revolute(bodies, (0.0, 0.0, 0.0), axis), "motor": driver})
 
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", sj.StartWarning)
+        warnings.simplefilter("ignore", sj.errors.StartWarning)
         early, late, twice = (
             np.asarray(sj.simulate(scene(), jnp.array(ts)).ys[0]) for ts in ([0.0, 0.1], [0.5, 0.6], [0.0, 0.1])
         )

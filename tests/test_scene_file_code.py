@@ -41,7 +41,7 @@ def test_reading_a_file_runs_no_code_unless_it_is_allowed(tmp_path):
     for word in ("scene.toml:44: forces.push.kind: 'my_laws.py:Magnet'", "allow_code=True", "--allow-code"):
         assert word in str(error.value)
     with pytest.raises(sj.SceneError, match="would run Python code"):
-        sj.read_scene_file(path)
+        sj.files.read_scene_file(path)
     assert not (tmp_path / "it_ran").exists()
     assert type(sj.load_scene(path, allow_code=True).forces["push"]).__name__ == "Magnet"
     assert (tmp_path / "it_ran").exists()

@@ -126,7 +126,7 @@ def test_joint_options_replace_the_model_of_the_studied_joint_or_another(written
     assert isinstance(other.joints["elbow"].model, sj.Dry)
     assert other.joints["shoulder"].model.clearance == 2e-4
     assert same(drift.joints, sj.load_scene(path).joints)
-    assert isinstance(drift.drift, sj.Projection)
+    assert isinstance(drift.drift, sj.solvers.Projection)
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ import my_laws
 import numpy as np
 import pytest
 from double_pendulum import TEXT, write
+from public import every_name
 from scipy.spatial.transform import Rotation
 
 import spherejax as sj
@@ -33,12 +34,12 @@ def written(tmp_path):
 
 
 def test_a_file_gives_the_scene_that_python_gives(written):
-    file = sj.read_scene_file(written())
+    file = sj.files.read_scene_file(written())
     for one, other in zip(jax.tree.leaves(file.scene), jax.tree.leaves(double_pendulum.scene()), strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-15, atol=1e-17)
     assert jax.tree.structure(file.scene) == jax.tree.structure(double_pendulum.scene())
     assert (file.title, file.studied) == ("double pendulum with a dry elbow", "elbow")
-    assert file.settings == sj.SimulationSettings(t1=0.04, samples=5, rtol=1e-6, solver="dopri8")
+    assert file.settings == sj.files.SimulationSettings(t1=0.04, samples=5, rtol=1e-6, solver="dopri8")
 
 
 @pytest.mark.parametrize(
@@ -74,7 +75,7 @@ alpha = "2 1/s"
     scene = sj.load_scene(written('gravity = [0, 0, "-1.62 m/s^2"]\n' + TEXT + more))
     np.testing.assert_array_equal(scene.gravity, [0, 0, -1.62])
     assert same(scene.forces["push"], sj.AppliedWrench("lower", (1000.0, 0.0, 0.0), in_body_axes=True))
-    assert same(scene.drift, sj.Baumgarte(alpha=2.0))
+    assert same(scene.drift, sj.solvers.Baumgarte(alpha=2.0))
 
 
 @pytest.mark.parametrize("kind", ["lugre", "lu-gre", "LuGre"])
@@ -112,8 +113,8 @@ UNITS_BY_TIME = {
 
 
 def test_units_of_functions_follow_their_argument_and_value():
-    assert set(UNITS_BY_TIME) == set(kinds_of(sj.AbstractFunction))
-    for kind, cls in kinds_of(sj.AbstractFunction).items():
+    assert set(UNITS_BY_TIME) == set(kinds_of(sj.functions.AbstractFunction))
+    for kind, cls in kinds_of(sj.functions.AbstractFunction).items():
         fields = {name: field for name, field in FIELDS[cls].items() if isinstance(field, QuantityField)}
         assert set(fields) == set(UNITS_BY_TIME[kind])
         for name, field in fields.items():
@@ -183,7 +184,13 @@ def test_every_scene_of_the_gallery_comes_back_to_the_last_bit(name, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "drift", [sj.Baumgarte(1 / 3, 7.0), sj.NoDriftControl(), sj.PostStabilization(), sj.Projection()]
+    "drift",
+    [
+        sj.solvers.Baumgarte(1 / 3, 7.0),
+        sj.solvers.NoDriftControl(),
+        sj.solvers.PostStabilization(),
+        sj.solvers.Projection(),
+    ],
 )
 def test_every_drift_control_comes_back(drift, tmp_path):
     scene = sj.gallery.four_bar(drift=drift)
@@ -223,13 +230,13 @@ def test_a_users_classes_are_named_by_their_file_and_come_back(tmp_path):
 
 
 def test_what_is_written_names_units_and_keeps_title_studied_joint_and_settings(tmp_path):
-    settings = sj.SimulationSettings(t1=0.5, dt=1e-3, rtol=1e-7, solver="rodas5p")
+    settings = sj.files.SimulationSettings(t1=0.5, dt=1e-3, rtol=1e-7, solver="rodas5p")
     scene = sj.gallery.four_bar(sj.Lubricated(1e-4))
     path = sj.save_scene(scene, tmp_path / "s.toml", title="four", studied="coupler_rocker", settings=settings)
     text = path.read_text()
     for line in ("mass = 0.0196 # kg", "viscosity = 0.4 # Pa s", "t1 = 0.5 # s", 'boundary = "guembel"'):
         assert f"\n{line}\n" in text
-    file = sj.read_scene_file(path)
+    file = sj.files.read_scene_file(path)
     assert (file.title, file.studied, file.settings) == ("four", "coupler_rocker", settings)
 
 
@@ -242,15 +249,15 @@ def test_what_is_written_names_units_and_keeps_title_studied_joint_and_settings(
     ],
 )
 def test_the_accuracy_of_a_run_is_written_and_read(tmp_path, accuracy, line):
-    settings = sj.SimulationSettings(t1=0.5, solver="dopri8", accuracy=accuracy)
+    settings = sj.files.SimulationSettings(t1=0.5, solver="dopri8", accuracy=accuracy)
     path = sj.save_scene(sj.gallery.four_bar(sj.Dry(1e-4)), tmp_path / "s.toml", settings=settings)
     assert f"\n{line}" in path.read_text()
-    assert sj.read_scene_file(path).settings == settings
+    assert sj.files.read_scene_file(path).settings == settings
 
 
 def test_an_accuracy_that_cannot_be_is_not_written(tmp_path):
     with pytest.raises(sj.SceneError, match=r"simulation.accuracy: '1 N' is a force \[N\]"):
-        sj.save_scene(sj.gallery.four_bar(), tmp_path / "s.toml", settings=sj.SimulationSettings(accuracy="1 N"))
+        sj.save_scene(sj.gallery.four_bar(), tmp_path / "s.toml", settings=sj.files.SimulationSettings(accuracy="1 N"))
     assert not (tmp_path / "s.toml").exists()
 
 
@@ -260,7 +267,7 @@ def test_a_stiffness_is_written_with_the_unit_of_its_exponent(tmp_path):
     assert "stiffness = 1000000000.0 # N/m^1.25\n" in path.read_text()
 
 
-def in_a_function() -> sj.AbstractForce:
+def in_a_function() -> sj.forces.AbstractForce:
     class Hidden(my_laws.Magnet):
         pass
 
@@ -328,15 +335,13 @@ def test_an_existing_file_is_replaced_only_on_request_and_never_by_a_failure(tmp
 
 
 FAMILIES = tuple(
-    family
-    for family in (getattr(sj, name) for name in sj.__all__)
-    if inspect.isclass(family) and family.__name__.startswith("Abstract")
+    family for family in every_name().values() if inspect.isclass(family) and family.__name__.startswith("Abstract")
 )
-NO_FAMILY = (sj.Body, sj.Material, sj.Maxwell, sj.Berg)
-NO_KIND = {sj.UserFunction: "holds a user's own function, which a file names instead"}
+NO_FAMILY = (sj.Body, sj.Material, sj.laws.Maxwell, sj.laws.Berg)
+NO_KIND = {sj.functions.UserFunction: "holds a user's own function, which a file names instead"}
 PUBLIC = [
     cls
-    for cls in (getattr(sj, name) for name in sj.__all__)
+    for cls in every_name().values()
     if inspect.isclass(cls)
     and not inspect.isabstract(cls)
     and not cls.__name__.startswith("Abstract")
@@ -356,52 +361,60 @@ def test_the_table_has_public_classes_only():
 
 
 AXIS = (0.0, 0.1, 1.0)
-HINGE = sj.Bushing(law=sj.HingeElastomer(1e6 * np.eye(3), 1e3 * np.eye(3), 5.0, 0.1, 0.2))
-CROSS = sj.Bushing(law=sj.CrossElastomer(1e6 * np.eye(3), 1e3 * np.eye(3), 5.0, 0.1))
+HINGE = sj.Bushing(law=sj.laws.HingeElastomer(1e6 * np.eye(3), 1e3 * np.eye(3), 5.0, 0.1, 0.2))
+CROSS = sj.Bushing(law=sj.laws.CrossElastomer(1e6 * np.eye(3), 1e3 * np.eye(3), 5.0, 0.1))
 BOTH = ("ground", "a")
 
 JOINTS = [
     sj.Revolute(BOTH, "a.tip", AXIS),
     sj.Revolute(BOTH, (1.0, 2.0, 3.0), AXIS, HINGE),
-    sj.Revolute(BOTH, "a.tip", AXIS, sj.Ideal(sj.BrownMcPhee(), 0.01, sj.PointContact(), length=0.1, passes=5)),
-    sj.Rim(BOTH, "ground.hook", AXIS),
-    sj.Rim(BOTH, (1.0, 2.0, 3.0), AXIS, sj.Dry(1e-4, conformity=sj.EsduCylinder(0.01)), False, is_thrust=True),
+    sj.Revolute(BOTH, "a.tip", AXIS, sj.Ideal(sj.BrownMcPhee(), 0.01, sj.laws.PointContact(), length=0.1, passes=5)),
+    sj.joints.Rim(BOTH, "ground.hook", AXIS),
+    sj.joints.Rim(
+        BOTH, (1.0, 2.0, 3.0), AXIS, sj.Dry(1e-4, conformity=sj.laws.EsduCylinder(0.01)), False, is_thrust=True
+    ),
     sj.Cylindrical(BOTH, "ground.hook", AXIS),
     sj.Prismatic(BOTH, (1.0, 2.0, 3.0), AXIS),
-    sj.Prismatic(BOTH, "a.tip", AXIS, sj.Ideal(sj.LuGre(), pressure=sj.PreloadAlone(), preload_force=2.0)),
+    sj.Prismatic(BOTH, "a.tip", AXIS, sj.Ideal(sj.LuGre(), pressure=sj.laws.PreloadAlone(), preload_force=2.0)),
     sj.Universal(BOTH, "a.tip", (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), CROSS),
     sj.Fixed(BOTH, "a.tip"),
-    sj.PointOnPlane("a.tip", (0.0, 0.0, 0.0), AXIS),
-    sj.PointOnPlane("b.tip", "ground.hook", AXIS, body="a"),
-    sj.SameOrientation(BOTH, "a.tip"),
-    sj.ParallelAxes(BOTH, (1.0, 2.0, 3.0), AXIS),
-    sj.PerpendicularAxes(BOTH, "ground.hook", (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)),
-    sj.PointOnCurve("a.tip", sj.Circle((0.0, 0.0, 0.0), AXIS, 1.0)),
-    sj.PointOnCurve("b.tip", sj.Line((0.0, 0.0, 0.0), AXIS), body="a"),
-    sj.PointOnCurve("a.tip", sj.ImplicitCurve(my_laws.helix)),
-    sj.Distance("ground.hook", "a.tip"),
-    sj.Distance("ground.hook", "a.tip", 0.7),
-    sj.DistanceDriver("ground.hook", "a.tip", sj.Sine(0.1, 2.0, 0.3, 1.0)),
-    sj.RotationDriver(BOTH, AXIS, sj.Linear(3.0, 0.1)),
+    sj.joints.PointOnPlane("a.tip", (0.0, 0.0, 0.0), AXIS),
+    sj.joints.PointOnPlane("b.tip", "ground.hook", AXIS, body="a"),
+    sj.joints.SameOrientation(BOTH, "a.tip"),
+    sj.joints.ParallelAxes(BOTH, (1.0, 2.0, 3.0), AXIS),
+    sj.joints.PerpendicularAxes(BOTH, "ground.hook", (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)),
+    sj.joints.PointOnCurve("a.tip", sj.joints.Circle((0.0, 0.0, 0.0), AXIS, 1.0)),
+    sj.joints.PointOnCurve("b.tip", sj.joints.Line((0.0, 0.0, 0.0), AXIS), body="a"),
+    sj.joints.PointOnCurve("a.tip", sj.joints.ImplicitCurve(my_laws.helix)),
+    sj.joints.Distance("ground.hook", "a.tip"),
+    sj.joints.Distance("ground.hook", "a.tip", 0.7),
+    sj.joints.DistanceDriver("ground.hook", "a.tip", sj.functions.Sine(0.1, 2.0, 0.3, 1.0)),
+    sj.RotationDriver(BOTH, AXIS, sj.functions.Linear(3.0, 0.1)),
     sj.RotationDriver(BOTH, AXIS, my_laws.hat),
-    sj.TranslationDriver(BOTH, "a.tip", AXIS, sj.SmoothStep(0.0, 1.0, 0.0, 0.2)),
-    sj.TranslationDriver(BOTH, "a.tip", AXIS, rate=sj.Table([0.0, 1.0], [0.0, 0.5]), start=0.1),
-    sj.PositionDriver("a.tip", my_laws.gust),
+    sj.TranslationDriver(BOTH, "a.tip", AXIS, sj.functions.SmoothStep(0.0, 1.0, 0.0, 0.2)),
+    sj.TranslationDriver(BOTH, "a.tip", AXIS, rate=sj.functions.Table([0.0, 1.0], [0.0, 0.5]), start=0.1),
+    sj.joints.PositionDriver("a.tip", my_laws.gust),
 ]
 
 FUNCTIONS = [
-    sj.Constant(2.0),
-    sj.Linear(2.0, 0.1),
-    sj.Polynomial([1.0, 2.0, 3.0], center=0.1),
-    sj.Sine(1.0, 2.0, 0.3, 0.4),
-    sj.Step(0.1, 1.0, 2.0),
-    sj.SmoothStep(0.1, 0.2, 1.0, 2.0),
-    sj.Bump(0.1, 1.0, 2.0),
-    sj.Table([0.0, 1.0, 3.0], [0.0, 5.0, 6.0]),
-    sj.SmoothTable([0.0, 1.0, 3.0], [0.0, 5.0, 6.0]),
-    sj.Piecewise([0.0], [sj.Linear(1.0), sj.Sum(sj.Constant(0.5), sj.Polynomial([0.0, 3.0]), my_laws.Growth(2.0))]),
-    sj.Sum(),
-    sj.Integral(my_laws.Growth(2.0), 0.1, until=3.0, panels=8),
+    sj.functions.Constant(2.0),
+    sj.functions.Linear(2.0, 0.1),
+    sj.functions.Polynomial([1.0, 2.0, 3.0], center=0.1),
+    sj.functions.Sine(1.0, 2.0, 0.3, 0.4),
+    sj.functions.Step(0.1, 1.0, 2.0),
+    sj.functions.SmoothStep(0.1, 0.2, 1.0, 2.0),
+    sj.functions.Bump(0.1, 1.0, 2.0),
+    sj.functions.Table([0.0, 1.0, 3.0], [0.0, 5.0, 6.0]),
+    sj.functions.SmoothTable([0.0, 1.0, 3.0], [0.0, 5.0, 6.0]),
+    sj.functions.Piecewise(
+        [0.0],
+        [
+            sj.functions.Linear(1.0),
+            sj.functions.Sum(sj.functions.Constant(0.5), sj.functions.Polynomial([0.0, 3.0]), my_laws.Growth(2.0)),
+        ],
+    ),
+    sj.functions.Sum(),
+    sj.functions.Integral(my_laws.Growth(2.0), 0.1, until=3.0, panels=8),
     my_laws.hat,
     my_laws.Growth(2.0),
 ]
@@ -409,27 +422,42 @@ FUNCTIONS = [
 FORCES = [
     *(sj.SpringDamper(("ground.hook", "a.tip"), 1e3, 1.0, 0.1, spring=one, damper=one) for one in FUNCTIONS),
     sj.SpringDamper(("a", "b.tip"), law=my_laws.Growth(3.0), direction=AXIS),
-    sj.ShockAbsorber(("ground.hook", "a"), sj.Linear(1e3), sj.Linear(2e3), spring=sj.Linear(10.0)),
-    sj.BumpStop(("ground.hook", "a"), shortest=0.1, longest=0.5, stiffness=1e5, damping=10.0, onset=1e-3),
-    sj.BumpStop(("ground.hook", "a"), longest=0.5, spring=sj.Polynomial([0.0, 0.0, 1e6])),
-    sj.TorsionalSpring(BOTH, AXIS, 3.0, 0.1, 0.2, spring=sj.Linear(2.0), damper=sj.Linear(0.1)),
-    sj.BumpStop(("ground.hook", "a"), longest=0.5, stiffness=1e5, restitution=0.7, transition=0.02),
-    sj.TorsionalStop(BOTH, AXIS, -0.3, 7.0, 1e3, 2.0, 1e-3, spring=sj.Linear(2.0), damper=sj.Linear(0.1)),
-    sj.TorsionalStop(BOTH, AXIS, largest=7.0, stiffness=1e3, restitution=0.7, transition=0.02),
-    sj.Coupler(sj.Turn(BOTH, AXIS, 0.2), sj.Travel(("ground.hook", "a.tip"), AXIS), -0.5, 1e3, 2.0, 0.01),
-    sj.Tyre("a.tip", 0.3, 1e5, 10.0, 1e-3, road=sj.Bump(0.1, 1.0, 2.0), speed=5.0, normal_to_road=True),
-    sj.Tyre("a", 0.3, 1e5, road=my_laws.Growth(0.1)),
-    my_laws.Motor("a", sj.Sine(1.0, 2.0)),
+    sj.forces.ShockAbsorber(
+        ("ground.hook", "a"), sj.functions.Linear(1e3), sj.functions.Linear(2e3), spring=sj.functions.Linear(10.0)
+    ),
+    sj.forces.BumpStop(("ground.hook", "a"), shortest=0.1, longest=0.5, stiffness=1e5, damping=10.0, onset=1e-3),
+    sj.forces.BumpStop(("ground.hook", "a"), longest=0.5, spring=sj.functions.Polynomial([0.0, 0.0, 1e6])),
+    sj.TorsionalSpring(BOTH, AXIS, 3.0, 0.1, 0.2, spring=sj.functions.Linear(2.0), damper=sj.functions.Linear(0.1)),
+    sj.forces.BumpStop(("ground.hook", "a"), longest=0.5, stiffness=1e5, restitution=0.7, transition=0.02),
+    sj.forces.TorsionalStop(
+        BOTH, AXIS, -0.3, 7.0, 1e3, 2.0, 1e-3, spring=sj.functions.Linear(2.0), damper=sj.functions.Linear(0.1)
+    ),
+    sj.forces.TorsionalStop(BOTH, AXIS, largest=7.0, stiffness=1e3, restitution=0.7, transition=0.02),
+    sj.forces.Coupler(sj.Turn(BOTH, AXIS, 0.2), sj.Travel(("ground.hook", "a.tip"), AXIS), -0.5, 1e3, 2.0, 0.01),
+    sj.forces.Tyre(
+        "a.tip", 0.3, 1e5, 10.0, 1e-3, road=sj.functions.Bump(0.1, 1.0, 2.0), speed=5.0, normal_to_road=True
+    ),
+    sj.forces.Tyre("a", 0.3, 1e5, road=my_laws.Growth(0.1)),
+    my_laws.Motor("a", sj.functions.Sine(1.0, 2.0)),
     sj.AppliedWrench("a.tip", force=my_laws.gust, moment=(1.0, 2.0, 3.0), place=(0.1, 0.0, 0.0)),
-    sj.Tyre("a.tip", 0.3, 1e5, road=sj.RandomRoad.of_class("C", seed=3, n_waves=5), speed=5.0),
-    sj.Actuator(sj.Turn(BOTH, AXIS, 0.2), sj.Sine(1.0, 2.0), 0.5),
-    sj.SampledActuator(sj.Extension(("ground.hook", "a.tip")), [0.0, 0.1, 0.3], [1.0, 2.0, 0.0]),
-    sj.PID(sj.Turn(BOTH, AXIS), sj.Sine(1.0, 2.0), 10.0, 20.0, 0.1, filter_time=0.01, limits=(-1.0, 2.0), offset=0.1),
-    sj.SampledPID(sj.Extension(("ground.hook", "a.tip")), 0.01, 0.1, 10.0, 20.0, 0.1, limits=(-1.0, 2.0)),
+    sj.forces.Tyre("a.tip", 0.3, 1e5, road=sj.functions.RandomRoad.of_class("C", seed=3, n_waves=5), speed=5.0),
+    sj.Actuator(sj.Turn(BOTH, AXIS, 0.2), sj.functions.Sine(1.0, 2.0), 0.5),
+    sj.forces.SampledActuator(sj.Extension(("ground.hook", "a.tip")), [0.0, 0.1, 0.3], [1.0, 2.0, 0.0]),
+    sj.PID(
+        sj.Turn(BOTH, AXIS),
+        sj.functions.Sine(1.0, 2.0),
+        10.0,
+        20.0,
+        0.1,
+        filter_time=0.01,
+        limits=(-1.0, 2.0),
+        offset=0.1,
+    ),
+    sj.forces.SampledPID(sj.Extension(("ground.hook", "a.tip")), 0.01, 0.1, 10.0, 20.0, 0.1, limits=(-1.0, 2.0)),
 ]
 
 
-def with_parts(joint: sj.AbstractJoint | None = None, force: sj.AbstractForce | None = None) -> sj.Scene:
+def with_parts(joint: sj.joints.AbstractJoint | None = None, force: sj.forces.AbstractForce | None = None) -> sj.Scene:
     """A scene of two bodies with one joint of interest, or one force."""
     body = sj.Body(1.0, (1.0, 1.0, 1.0), position=(0.0, 0.0, 1.0), points={"tip": (0.0, 0.0, 0.5)})
     joints = {} if joint is None else {"j": joint, "others": sj.Fixed(("a", "b"), (0.0, 0.0, 0.0))}
@@ -465,7 +493,16 @@ def classes_in(value) -> set[type]:
 
 def test_every_class_of_the_table_has_been_through_a_round_trip():
     scenes = [case.build() for case in cases.CASES]
-    seen = classes_in((*scenes, *JOINTS, *FORCES, sj.NoDriftControl(), sj.PostStabilization(), sj.Projection()))
+    seen = classes_in(
+        (
+            *scenes,
+            *JOINTS,
+            *FORCES,
+            sj.solvers.NoDriftControl(),
+            sj.solvers.PostStabilization(),
+            sj.solvers.Projection(),
+        )
+    )
     never_simulated = {sj.Coulomb}
     assert set(FIELDS) - seen == never_simulated
 
@@ -506,7 +543,9 @@ def test_words_of_keys_are_the_first_of_the_docstring():
     assert all(told.values())
 
 
-@pytest.mark.parametrize("family", [sj.AbstractFrictionLaw, sj.AbstractNormalLaw, sj.AbstractSphericalModel])
+@pytest.mark.parametrize(
+    "family", [sj.laws.AbstractFrictionLaw, sj.laws.AbstractNormalLaw, sj.joints.AbstractSphericalModel]
+)
 def test_kinds_are_unique(family):
     names = [kebab(cls.__name__) for cls in FIELDS if issubclass(cls, family)]
     assert len(names) == len(set(names)) == len(kinds_of(family)) > 3

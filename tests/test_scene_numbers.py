@@ -66,7 +66,7 @@ def test_what_cannot_be_set_is_told(text, words):
 
 
 def laws_with_numbers():
-    for family, argument in ((sj.AbstractNormalLaw, "normal"), (sj.AbstractFrictionLaw, "friction")):
+    for family, argument in ((sj.laws.AbstractNormalLaw, "normal"), (sj.laws.AbstractFrictionLaw, "friction")):
         for kind, cls in kinds_of(family).items():
             if getattr(cls, "simulable", True):
                 yield pytest.param(cls, argument, id=kind)

@@ -248,7 +248,7 @@ def test_own_solver_and_controller_control_the_sensitivities_too(reference_slope
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("solver", [sj.Rodas5P(), sj.Ros34PW2()])
+@pytest.mark.parametrize("solver", [sj.solvers.Rodas5P(), sj.solvers.Ros34PW2()])
 def test_stiff_methods_control_the_sensitivities(solver):
     """Of a film, against differences of tight runs by another method."""
     ts, h = jnp.array([0.0, 2e-3, 4e-3]), 1e-4
@@ -258,7 +258,7 @@ def test_stiff_methods_control_the_sensitivities(solver):
         return sj.simulate(scene, ts, rtol=rtol, solver=solver).eccentricity("coupler_rocker")
 
     slopes = jax.jacfwd(eccentricities)(0.4)
-    low, high = (eccentricities(0.4 * (1 + s), 1e-10, sj.Rodas5P()) for s in (-h, h))
+    low, high = (eccentricities(0.4 * (1 + s), 1e-10, sj.solvers.Rodas5P()) for s in (-h, h))
     differences = (high - low) / (2 * h * 0.4)
     np.testing.assert_allclose(slopes, differences, atol=1e-3 * np.abs(differences).max())
 
@@ -281,7 +281,9 @@ def test_a_derivative_that_was_not_reached_is_not_zero():
     assert np.isnan(slope[-1]).all()
 
 
-@pytest.mark.parametrize("solver", [sj.Rodas5P(), sj.Ros34PW2()], ids=["exact matrix", "inexact matrix"])
+@pytest.mark.parametrize(
+    "solver", [sj.solvers.Rodas5P(), sj.solvers.Ros34PW2()], ids=["exact matrix", "inexact matrix"]
+)
 def test_sensitivities_by_a_rosenbrock_method_follow_the_steps_of_the_motion(solver):
     """And are right: each step is differentiated, its matrix included."""
     values, ts = {"stiffness": 1e6, "damping": 1e-2}, np.linspace(0.0, 0.004, 3)
@@ -299,7 +301,7 @@ def test_sensitivities_by_a_rosenbrock_method_follow_the_steps_of_the_motion(sol
     slopes = found["sensitivity_final_position.ball"].values.reshape(3, 2)
     for i, (name, value) in enumerate(values.items()):
         h = 1e-4 * value
-        ends = swept({**one, name: [value - h, value + h]}, ["final position.ball"], 1e-11, sj.Rodas5P())
+        ends = swept({**one, name: [value - h, value + h]}, ["final position.ball"], 1e-11, sj.solvers.Rodas5P())
         position = ends["final_position.ball"].values.reshape(2, 3)
         difference = (position[1] - position[0]) / (2 * h)
         np.testing.assert_allclose(slopes[:, i], difference, atol=2e-4 * np.abs(difference).max())
@@ -327,7 +329,9 @@ def height_on_a_stop(stiffness):
     up = (0.0, 0.0, 1.0)
     scene = sj.Scene(
         bodies={"falling": sj.Body(1.0, (1e-3, 1e-3, 1e-3), position=(0.0, 0.0, 0.01))},
-        forces={"stop": sj.BumpStop(("ground.floor", "falling"), shortest=0.0, stiffness=stiffness, direction=up)},
+        forces={
+            "stop": sj.forces.BumpStop(("ground.floor", "falling"), shortest=0.0, stiffness=stiffness, direction=up)
+        },
         ground_points={"floor": (0.0, 0.0, 0.0)},
     )
     return sj.simulate(scene, jnp.linspace(0.0, 0.055, 3)).ys[-1, 2]

@@ -24,7 +24,9 @@ def turning_angle(ts, n_loops, speed=1.0):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("drift", [sj.PostStabilization(), pytest.param(sj.Projection(), marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "drift", [sj.solvers.PostStabilization(), pytest.param(sj.solvers.Projection(), marks=pytest.mark.slow)]
+)
 def test_n_four_bar_passes_its_singular_configurations(drift):
     ts = np.linspace(0.0, 3.0, 31)
     theta = turning_angle(ts, 2)
@@ -54,7 +56,7 @@ def test_equations_are_left_out_from_the_asked_bound_on():
     for bound in (REDUNDANT_PIVOT, SINGULAR_PIVOT):
         left_out = np.isclose(np.asarray(solution(bound)), 0).any()
         assert left_out == (bound == SINGULAR_PIVOT)
-        program = sj.scalarize(lambda S, b, at=bound: symmetric_solve(S, b, at), S, b)
+        program = sj.compiler.scalarize(lambda S, b, at=bound: symmetric_solve(S, b, at), S, b)
         # Programs order the rows themselves: what S x gives back is the same, which row is left out is not.
         assert np.asarray(S @ program(S, b)) == pytest.approx(np.asarray(S @ solution(bound)), abs=1e-4)
         tangent = jax.jacfwd(lambda b, at=bound: symmetric_solve(S, b, at))(b)

@@ -58,7 +58,9 @@ def test_a_tone_shows_its_amplitude_and_its_phase():
 @pytest.fixture(scope="module")
 def swinging():
     """A mass on a bushing, pulled out by 0.1 mm along z: 35.6 Hz, for a whole number of periods."""
-    scene = cases.ball_in_socket(sj.Bushing(law=sj.VectorElastomer(STIFFNESS, 0.0)), mass=MASS, velocity=(0, 0, 0.02))
+    scene = cases.ball_in_socket(
+        sj.Bushing(law=sj.laws.VectorElastomer(STIFFNESS, 0.0)), mass=MASS, velocity=(0, 0, 0.02)
+    )
     return sj.simulate(scene, jnp.array([0.0, 20 / TONE]), rtol=1e-10, throw=True)
 
 

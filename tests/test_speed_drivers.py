@@ -25,13 +25,13 @@ def stall(t):
     return 2.0 / (1.0 + t * t)
 
 
-PIECES = sj.Piecewise([0.35], [spin, stall])
+PIECES = sj.functions.Piecewise([0.35], [spin, stall])
 RATES: dict[str, Any] = {
     "constant": 5.0,
-    "ramp": sj.Linear(3.0, 0.5),
-    "sine": sj.Sine(2.0, 1.5, 0.2, 0.4),
-    "profile": sj.SmoothStep(0.1, 0.6, 0.0, 8.0),
-    "table": sj.Table([0.0, 0.25, 0.7, 1.0], [0.0, 6.0, 6.0, -1.0]),
+    "ramp": sj.functions.Linear(3.0, 0.5),
+    "sine": sj.functions.Sine(2.0, 1.5, 0.2, 0.4),
+    "profile": sj.functions.SmoothStep(0.1, 0.6, 0.0, 8.0),
+    "table": sj.functions.Table([0.0, 0.25, 0.7, 1.0], [0.0, 6.0, 6.0, -1.0]),
 }
 VALUES = {
     "constant": lambda t: 5.0,
@@ -50,7 +50,7 @@ def run() -> sj.Trajectory:
     joints: dict[str, Any] = {f"{name}_bearing": sj.Revolute(("ground", name), (0, 0, 0), AXIS) for name in bodies}
     for name, rate in RATES.items():
         joints[f"{name}_motor"] = sj.RotationDriver(("ground", name), AXIS, rate=rate, start=0.3)
-    angle = sj.Integral(spin, 0.3, until=1.0)
+    angle = sj.functions.Integral(spin, 0.3, until=1.0)
     joints["function_motor"] = sj.RotationDriver(("ground", "function"), AXIS, angle)
     return sj.simulate(sj.Scene(bodies, joints, gravity=(0, 0, 0)), TS, rtol=1e-9)
 
@@ -76,20 +76,24 @@ def test_effort_and_energy_of_the_motors(run):
     np.testing.assert_allclose(run.supplied_work, gained, atol=1e-7)
 
 
-FUNCTIONS: dict[str, sj.AbstractFunction] = {
-    "quadrature": sj.Integral(spin, 0.2, origin=-0.3, until=2.0),
-    "pieces by quadrature": sj.Integral(PIECES, until=2.0),
-    "pieces, one a formula": sj.Integral(sj.Piecewise([0.5], [sj.Sine(1.0, 2.0), stall]), until=2.0),
-    "a sum": sj.Integral(sj.Sum(sj.Linear(1.0), sj.UserFunction(spin)), until=2.0),
-    "origin behind the breaks": sj.Integral(PIECES, 1.0, origin=0.6, until=2.0),
+FUNCTIONS: dict[str, sj.functions.AbstractFunction] = {
+    "quadrature": sj.functions.Integral(spin, 0.2, origin=-0.3, until=2.0),
+    "pieces by quadrature": sj.functions.Integral(PIECES, until=2.0),
+    "pieces, one a formula": sj.functions.Integral(
+        sj.functions.Piecewise([0.5], [sj.functions.Sine(1.0, 2.0), stall]), until=2.0
+    ),
+    "a sum": sj.functions.Integral(
+        sj.functions.Sum(sj.functions.Linear(1.0), sj.functions.UserFunction(spin)), until=2.0
+    ),
+    "origin behind the breaks": sj.functions.Integral(PIECES, 1.0, origin=0.6, until=2.0),
 }
 
 
 @pytest.mark.parametrize("name", sorted(FUNCTIONS))
 def test_quadrature_is_that_of_scipy(name):
     function: Any = FUNCTIONS[name]
-    program = sj.scalarize(function, jnp.zeros(()))
-    rate = sj.scalarize(function.rate, jnp.zeros(()))
+    program = sj.compiler.scalarize(function, jnp.zeros(()))
+    rate = sj.compiler.scalarize(function.rate, jnp.zeros(()))
     breaks = [0.35, 0.5]
     for x in (float(function.origin), 0.35, 0.61, 1.37, 2.0):
         if x < function.origin:
@@ -103,15 +107,15 @@ def test_derivatives_by_the_numbers_of_a_rate():
     """By a number that a Python function closes over, and by a break: the rate's jump there."""
 
     def by_number(a):
-        return sj.Integral(lambda t: jnp.exp(-a * t), until=2.0)(1.3)
+        return sj.functions.Integral(lambda t: jnp.exp(-a * t), until=2.0)(1.3)
 
     def by_break(at):
-        return sj.Integral(sj.Piecewise([at], [spin, stall]), until=2.0)(1.3)
+        return sj.functions.Integral(sj.functions.Piecewise([at], [spin, stall]), until=2.0)(1.3)
 
     slope, wanted = jax.grad(by_number)(0.7), quad(lambda t: -t * np.exp(-0.7 * t), 0.0, 1.3)[0]
     np.testing.assert_allclose(slope, wanted, rtol=1e-12)
     np.testing.assert_allclose(jax.grad(by_break)(0.35), spin(0.35) - stall(0.35), rtol=1e-12)
-    np.testing.assert_allclose(jax.grad(sj.Integral(spin, until=2.0))(1.3), spin(1.3), rtol=1e-11)
+    np.testing.assert_allclose(jax.grad(sj.functions.Integral(spin, until=2.0))(1.3), spin(1.3), rtol=1e-11)
 
 
 def crank(driver: sj.RotationDriver) -> sj.Scene:
@@ -129,13 +133,22 @@ def motor(*arguments: Any, **more: Any) -> sj.RotationDriver:
     ("make", "words"),
     [
         (lambda: motor(), "give angle= or rate=.*neither"),
-        (lambda: motor(sj.Linear(1.0), rate=1.0), "not both"),
-        (lambda: motor(sj.Linear(1.0), start=0.2), "start= belongs to rate="),
+        (lambda: motor(sj.functions.Linear(1.0), rate=1.0), "not both"),
+        (lambda: motor(sj.functions.Linear(1.0), start=0.2), "start= belongs to rate="),
         (lambda: motor(rate=spin), r"angle.until.*no formula.*until=2.0"),
-        (lambda: motor(sj.Integral(spin, until=-1.0)), "until = -1 must be above origin"),
-        (lambda: motor(sj.Integral(lambda t: jnp.sin(400.0 * t), until=2.0)), "panels = 16 must be enough.*panels=64"),
-        (lambda: motor(sj.Integral(lambda t: jnp.where(t < 0.31, 0.0, 1.0), until=2.0)), "must be enough.*Piecewise"),
-        (lambda: motor(sj.Integral(spin, until=0.5)), r"known from 0 s to 0.5 s, and the run goes from 0 s to 1 s"),
+        (lambda: motor(sj.functions.Integral(spin, until=-1.0)), "until = -1 must be above origin"),
+        (
+            lambda: motor(sj.functions.Integral(lambda t: jnp.sin(400.0 * t), until=2.0)),
+            "panels = 16 must be enough.*panels=64",
+        ),
+        (
+            lambda: motor(sj.functions.Integral(lambda t: jnp.where(t < 0.31, 0.0, 1.0), until=2.0)),
+            "must be enough.*Piecewise",
+        ),
+        (
+            lambda: motor(sj.functions.Integral(spin, until=0.5)),
+            r"known from 0 s to 0.5 s, and the run goes from 0 s to 1 s",
+        ),
         (lambda: motor(rate=np.nan), "finite"),
     ],
 )
@@ -174,7 +187,7 @@ def test_runs_are_differentiated_and_swept_by_a_speed():
 
     @jax.jit
     def end(amplitude):
-        angle = sj.Integral(lambda t: amplitude * jnp.exp(-t), 0.3, until=1.0)
+        angle = sj.functions.Integral(lambda t: amplitude * jnp.exp(-t), 0.3, until=1.0)
         return sj.simulate(crank(motor(angle)), TS, rtol=1e-9).quaternion("rotor")[-1, 3]
 
     share = 1.0 - np.exp(-1.0)
@@ -182,6 +195,6 @@ def test_runs_are_differentiated_and_swept_by_a_speed():
         jax.vmap(end)(jnp.array([1.0, 2.0])), np.sin(0.15 + share * np.array([0.5, 1.0])), atol=1e-9
     )
     np.testing.assert_allclose(jax.grad(end)(2.0), 0.5 * share * np.cos(0.15 + share), rtol=1e-7)
-    late = jax.jit(lambda last: sj.simulate(crank(motor(sj.Integral(spin, until=1.0))), TS * last).status)
+    late = jax.jit(lambda last: sj.simulate(crank(motor(sj.functions.Integral(spin, until=1.0))), TS * last).status)
     assert late(1.0) == sj.Status.SUCCEEDED
     assert late(1.5) != sj.Status.SUCCEEDED

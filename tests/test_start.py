@@ -12,7 +12,7 @@ from spherejax.motion.start.start_now import start_now
 from spherejax.physics.state import unpack
 
 Z, Y = (0.0, 0.0, 1.0), (0.0, 1.0, 0.0)
-SIX = sj.MatrixElastomer.cylindrical(
+SIX = sj.laws.MatrixElastomer.cylindrical(
     np.array(Z),
     radial_stiffness=4e3,
     axial_stiffness=3e3,
@@ -20,9 +20,11 @@ SIX = sj.MatrixElastomer.cylindrical(
     torsional_stiffness=40.0,
     damping=0.0,
 )
-HINGE = sj.HingeElastomer.symmetric(radial_stiffness=4e3, axial_stiffness=3e3, damping=0.0, conical_stiffness=80.0)
-CROSS = sj.CrossElastomer(4e3 * np.eye(3), 0.0 * np.eye(3), 80.0)
-SLIDING = sj.HingeElastomer.symmetric(radial_stiffness=4e3, axial_stiffness=0.0, damping=0.0, conical_stiffness=80.0)
+HINGE = sj.laws.HingeElastomer.symmetric(radial_stiffness=4e3, axial_stiffness=3e3, damping=0.0, conical_stiffness=80.0)
+CROSS = sj.laws.CrossElastomer(4e3 * np.eye(3), 0.0 * np.eye(3), 80.0)
+SLIDING = sj.laws.HingeElastomer.symmetric(
+    radial_stiffness=4e3, axial_stiffness=0.0, damping=0.0, conical_stiffness=80.0
+)
 MODELS = {
     "dry": sj.Dry(1e-4),
     "friction": sj.Dry(1e-4, friction=sj.Threlfall()),
@@ -47,7 +49,7 @@ def swung(joint, velocity=(0.0, 0.0, 0.0)):
 
 def started(scene, t=0.0):
     """Velocities and angular velocities that a run begins with."""
-    system = sj.compile_scene(scene).system
+    system = sj.equations.compile_scene(scene).system
     state = unpack(system.layout._replace(n_memory=0, n_work=0), start_now(system, np.array([t])).y)
     return np.asarray(state.velocity), np.asarray(state.angular_velocity)
 
@@ -58,7 +60,7 @@ def test_a_velocity_in_the_socket_is_removed_with_a_warning(name):
         r"^joint 'joint' \(0\.3 m/s\).*concentric and at relative rest.*removed.*starts_concentric=False.*"
         r"Body 'ball' starts with \(0, 0, 0\) m/s .* instead of \(0\.3, 0, 0\) m/s"
     )
-    with pytest.warns(sj.StartWarning, match=message):
+    with pytest.warns(sj.errors.StartWarning, match=message):
         velocity, _ = started(thrown(MODELS[name]))
     assert np.abs(velocity).max() < 1e-12
 
@@ -81,12 +83,12 @@ def two_arms(spin):
 def test_the_speed_that_gives_the_described_start_is_said():
     """The momentum of a body that is described alone in motion is shared; the projection is linear."""
     with pytest.warns(
-        sj.StartWarning, match="momentum of 'upper' was shared with them: described .* times as fast"
+        sj.errors.StartWarning, match="momentum of 'upper' was shared with them: described .* times as fast"
     ) as said:
         _, spins = started(two_arms(3.0))
     times = float(str(said[0].message).split("described ")[-1].split(" times")[0])
     assert times == pytest.approx(3.0 / spins[1, 1], rel=1e-3)
-    with pytest.warns(sj.StartWarning, match="elbow"):
+    with pytest.warns(sj.errors.StartWarning, match="elbow"):
         _, spins = started(two_arms(3.0 * times))
     assert spins[1, 1] == pytest.approx(3.0, rel=1e-3)
 
@@ -98,7 +100,7 @@ def test_a_velocity_in_the_socket_is_kept_where_the_joint_starts_as_described(na
 
 
 def test_a_run_says_so_where_it_is_called():
-    with pytest.warns(sj.StartWarning) as given:
+    with pytest.warns(sj.errors.StartWarning) as given:
         sj.simulate(thrown(sj.Ideal()), np.array([0.0]))
     assert given[0].filename == __file__
 
@@ -107,7 +109,7 @@ def test_a_velocity_that_an_ideal_joint_does_not_allow():
     message = (
         r"^joint 'pivot' \(0\.5 m/s\).*violate the constraint.*run\.velocity.*'bob' starts with \(-0\.01923, 0, 0\)"
     )
-    with pytest.warns(sj.StartWarning, match=message):
+    with pytest.warns(sj.errors.StartWarning, match=message):
         velocity, spin = started(swung(sj.Revolute(("ground", "bob"), (0.0, 0.0, 0.0), Y)))
     # The impulse at the pivot: I w0 = (I + m l^2) w.
     assert spin[0, 1] == pytest.approx(1e-2 / (1e-2 + 0.25), rel=1e-9)
@@ -138,7 +140,7 @@ BUSHINGS = {
 @pytest.mark.parametrize("name", BUSHINGS)
 def test_bushings_of_all_joints_can_start_as_described(name):
     joint, size = BUSHINGS[name]
-    with pytest.warns(sj.StartWarning, match=r"'pivot' \(" + size):
+    with pytest.warns(sj.errors.StartWarning, match=r"'pivot' \(" + size):
         started(swung(joint()))
     velocity, spin = started(swung(joint(starts_concentric=False)))
     assert (velocity[0].tolist(), spin[0].tolist()) == ([0.0, 0.0, 0.0], list(Y))
@@ -147,14 +149,14 @@ def test_bushings_of_all_joints_can_start_as_described(name):
 def test_what_agrees_to_the_digits_of_a_table_is_taken_without_a_word():
     pivot = sj.Revolute(("ground", "bob"), (0.0, 0.0, 0.0), Y)
     started(swung(pivot, velocity=(-0.5001, 0.0, 0.0)))
-    with pytest.warns(sj.StartWarning):
+    with pytest.warns(sj.errors.StartWarning):
         started(swung(pivot, velocity=(-0.505, 0.0, 0.0)))
 
 
 def test_a_driver_sets_in_motion_what_is_described_at_rest():
     body = sj.Body(1.0, (1e-2,) * 3, (0.0, 0.0, -0.5))
     pivot = sj.Revolute(("ground", "bob"), (0.0, 0.0, 0.0), Y)
-    motor = sj.RotationDriver(("ground", "bob"), Y, sj.Linear(2.0))
+    motor = sj.RotationDriver(("ground", "bob"), Y, sj.functions.Linear(2.0))
     velocity, spin = started(sj.Scene({"bob": body}, {"pivot": pivot, "motor": motor}))
     assert spin[0, 1] == pytest.approx(2.0, rel=1e-9)
     assert velocity[0, 0] == pytest.approx(-1.0, rel=1e-9)
@@ -172,8 +174,8 @@ def test_a_known_start_is_looked_at_while_other_numbers_are_traced():
 
     @jax.jit
     def begun(clearance):
-        with pytest.warns(sj.StartWarning):
-            seen.append(start_now(sj.compile_scene(thrown(sj.Dry(clearance))).system, np.array([0.0])))
+        with pytest.warns(sj.errors.StartWarning):
+            seen.append(start_now(sj.equations.compile_scene(thrown(sj.Dry(clearance))).system, np.array([0.0])))
         return clearance
 
     begun(1e-4)

@@ -30,7 +30,7 @@ def slider_crank(axis=Y, drive=None, *, model=None, off=0.0, **wrist):
         "guide": sj.Prismatic(("ground", "slider"), (0.4, 0.0, 0.0), (1.0, 0.0, 0.0)),
     }
     forces = {}
-    if isinstance(drive, sj.AbstractForce):
+    if isinstance(drive, sj.forces.AbstractForce):
         forces["drive"] = drive
     elif drive is not None:
         joints["drive"] = drive
@@ -40,9 +40,9 @@ def slider_crank(axis=Y, drive=None, *, model=None, off=0.0, **wrist):
 TURN = sj.Turn(("ground", "crank"), Y)
 MOTORS = {
     "actuator": sj.Actuator(TURN, 1.0),
-    "sampled": sj.SampledActuator(TURN, [0.0, 0.1], [1.0, 2.0]),
+    "sampled": sj.forces.SampledActuator(TURN, [0.0, 0.1], [1.0, 2.0]),
     "pid": sj.PID(TURN, reference=1.0, proportional=10.0, integral=1.0),
-    "driver": sj.RotationDriver(("ground", "crank"), Y, sj.SmoothStep(0.0, 0.1, 0.0, 1.0)),
+    "driver": sj.RotationDriver(("ground", "crank"), Y, sj.functions.SmoothStep(0.0, 0.1, 0.0, 1.0)),
 }
 SKEW = (0.0, 1.0, 0.01)
 
@@ -80,8 +80,8 @@ def test_drivers_are_looked_at_while_a_builder_is_traced():
 
 def test_what_is_meant_to_stand_still_is_not_named():
     """A truss without motor, a brake, a bushing that gives way."""
-    brake = sj.RotationDriver(("ground", "crank"), Y, sj.Linear(0.0, 0.0))
-    elastic = sj.Bushing(law=sj.HingeElastomer(1e6 * np.eye(3), 1e3 * np.eye(3), 5.0, 0.1, 0.2))
+    brake = sj.RotationDriver(("ground", "crank"), Y, sj.functions.Linear(0.0, 0.0))
+    elastic = sj.Bushing(law=sj.laws.HingeElastomer(1e6 * np.eye(3), 1e3 * np.eye(3), 5.0, 0.1, 0.2))
     for scene in (
         slider_crank(SKEW),
         slider_crank(SKEW, brake),
@@ -161,7 +161,7 @@ def test_a_second_point_is_closed_and_said(kind):
         "revolute": lambda **more: sj.Revolute(between, hook, Y, **more),
     }[kind]
     scene = sj.Scene({"bar": bar}, {"joint": made(second_point="bar.end")})
-    with pytest.warns(sj.StartWarning, match=r"'bar' by 0\.0.* m .*'joint' gapes most there \(0\.05 m"):
+    with pytest.warns(sj.errors.StartWarning, match=r"'bar' by 0\.0.* m .*'joint' gapes most there \(0\.05 m"):
         run = sj.simulate(scene, TS)
     turn = rotation_matrix(run.quaternion("bar")[0])
     assert np.allclose(run.position("bar")[0] + turn @ np.array([-0.5, 0.0, 0.0]), 0.0, atol=1e-9)
@@ -187,5 +187,5 @@ def test_runs_of_a_sweep_say_how_many_are_locked():
         return slider_crank((0.0, 1.0, skew), MOTORS["actuator"])
 
     expected = r"^1 of 2 runs that were looked at look like a mistake; of run 1: motor 'drive' acts on bodies"
-    with pytest.warns(sj.StartWarning, match=expected):
+    with pytest.warns(sj.errors.StartWarning, match=expected):
         sj.simulate_many(build, {"skew": np.array([0.0, 0.01])}, TS, rtol=1e-4)

@@ -105,7 +105,7 @@ def bar(gap, place=0.0):
 
 
 def test_a_run_says_so_where_it_is_called():
-    with pytest.warns(sj.StartWarning, match=r"'bar' by 0\.05 m and 0 rad\. Joint 'joint' gapes") as given:
+    with pytest.warns(sj.errors.StartWarning, match=r"'bar' by 0\.05 m and 0 rad\. Joint 'joint' gapes") as given:
         sj.simulate(bar(0.05), TS)
     assert [each.filename for each in given] == [__file__]
 
@@ -134,7 +134,7 @@ def test_drivers_put_a_mechanism_where_its_motion_begins_without_a_word():
     def driven(shift):
         body = sj.Body(1.0, (0.1,) * 3, position=(0.5 + shift, 0.0, 0.0))
         pivot = sj.Revolute(("ground", "bar"), (0.0, 0.0, 0.0), (0.0, 1.0, 0.0))
-        motor = sj.RotationDriver(("ground", "bar"), (0.0, 1.0, 0.0), sj.Linear(1.0, 0.5))
+        motor = sj.RotationDriver(("ground", "bar"), (0.0, 1.0, 0.0), sj.functions.Linear(1.0, 0.5))
         scene = sj.Scene({"bar": sj.Body(1.0, (0.1,) * 3, position=(0.5, 0.0, 0.0))}, {"pivot": pivot, "motor": motor})
         # Where joints are described the bodies are; what is misplaced is described elsewhere.
         reference = sj.Body(body.mass, body.inertia, body.position, reference_position=(0.5, 0.0, 0.0),
@@ -152,10 +152,10 @@ def test_sweeps_and_many_runs_say_how_many_and_describe_one():
         r"^1 of 3 runs that were looked at do not start as they are described; of run 1: where the bodies .*"
         r"'bar' by 0\.05 m and 0 rad.*\(its parameters: gap = 0\.05\)$"
     )
-    with pytest.warns(sj.StartWarning, match=expected) as given:
+    with pytest.warns(sj.errors.StartWarning, match=expected) as given:
         sj.simulate_many(bar, gaps, TS, rtol=1e-4)
-    with pytest.warns(sj.StartWarning, match=expected) as given_by_sweep:
-        sj.sweep(bar, sj.zipped(gaps), TS, record=["final position.bar"], rtol=1e-4, progress=False, workers=1)
+    with pytest.warns(sj.errors.StartWarning, match=expected) as given_by_sweep:
+        sj.sweep(bar, sj.studies.zipped(gaps), TS, record=["final position.bar"], rtol=1e-4, progress=False, workers=1)
     assert [each.filename for each in [*given, *given_by_sweep]] == [__file__, __file__]
 
 
@@ -179,11 +179,11 @@ def test_one_start_is_looked_at_where_no_parameter_touches_it():
 def test_scene_files_and_the_command_line_say_so(tmp_path):
     path = tmp_path / "misplaced.toml"
     sj.save_scene(bar(0.05), path)
-    with pytest.warns(sj.StartWarning, match=r"'bar' by 0\.05 m and 0 rad"):
+    with pytest.warns(sj.errors.StartWarning, match=r"'bar' by 0\.05 m and 0 rad"):
         assert main(["run", str(path), "--t1", "0.001", "--samples", "2"]) == 0
     sj.save_scene(bar(1e-3), path, overwrite=True)
     with warnings.catch_warnings():
-        warnings.simplefilter("error", sj.StartWarning)
+        warnings.simplefilter("error", sj.errors.StartWarning)
         assert main(["run", str(path), "--t1", "0.001", "--samples", "2"]) == 0
 
 

@@ -81,9 +81,11 @@ def test_an_input_of_an_element_with_the_name_of_a_body():
 def test_states_whose_equations_read_the_time_are_stepped_one_after_the_other_and_say_so():
     along = sj.Travel(("ground", "block"), (1.0, 0.0, 0.0))
     scene = block()
-    shaken = sj.Scene(scene.bodies, scene.joints, {"motor": sj.Actuator(along, sj.Sine(3.0, 1.0))}, gravity=(0, 0, 0))
+    shaken = sj.Scene(
+        scene.bodies, scene.joints, {"motor": sj.Actuator(along, sj.functions.Sine(3.0, 1.0))}, gravity=(0, 0, 0)
+    )
     states = jax.vmap(lambda _: sj.start(shaken))(jnp.zeros(2))
-    with pytest.warns(sj.SerialRunsWarning, match=r"Steps of sj\.advance.*input of the step"):
+    with pytest.warns(sj.errors.SerialRunsWarning, match=r"Steps of sj\.advance.*input of the step"):
         after = jax.vmap(lambda state, push: sj.advance(state, 0.2, {"motor.offset": push}))(
             states, jnp.array([0.0, 2.0])
         )

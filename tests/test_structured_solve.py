@@ -28,7 +28,7 @@ MODELS = {
     "bristles": sj.Dry(1e-4, friction=sj.LuGre()),
     "film": sj.Lubricated(1e-4),
     "bushing": sj.Bushing(
-        law=sj.MatrixElastomer.cylindrical(
+        law=sj.laws.MatrixElastomer.cylindrical(
             (0.1, 0.2, 1.0),
             radial_stiffness=1e5,
             axial_stiffness=3e4,
@@ -41,7 +41,7 @@ MODELS = {
 GAMMA_H = 2e-5
 
 
-class Push(sj.AbstractForce):
+class Push(sj.forces.AbstractForce):
     """A force that swings with time."""
 
     body: str = eqx.field(static=True)
@@ -49,7 +49,7 @@ class Push(sj.AbstractForce):
 
     def wrenches(self, t, motions):
         force = self.amplitude * jnp.array([jnp.sin(300.0 * t), 0.0, jnp.cos(200.0 * t)])
-        return {self.body: sj.Wrench(force, jnp.cross(motions[self.body].rotation[:, 0], force))}
+        return {self.body: sj.forces.Wrench(force, jnp.cross(motions[self.body].rotation[:, 0], force))}
 
 
 def four_bar(model, **options):
@@ -130,9 +130,9 @@ def test_derivative_by_time_of_a_driven_mechanism():
 @pytest.mark.slow
 def test_a_run_takes_the_steps_of_the_dense_method():
     scene, ts = sj.gallery.four_bar(sj.Lubricated(1e-4)), jnp.linspace(0.0, 0.03, 4)
-    structured = sj.simulate(scene, ts, rtol=1e-7, solver=sj.Rodas5P())
+    structured = sj.simulate(scene, ts, rtol=1e-7, solver=sj.solvers.Rodas5P())
     # A function of its own as factorization keeps the solver from being given the mechanism's structure.
-    dense_solver = sj.Rodas5P(jacobian=dense_jacobian(scene))
+    dense_solver = sj.solvers.Rodas5P(jacobian=dense_jacobian(scene))
     dense = sj.simulate(scene, ts, rtol=1e-7, solver=dense_solver)
     assert abs(int(structured.stats.n_steps) - int(dense.stats.n_steps)) <= 0.02 * int(dense.stats.n_steps)
     np.testing.assert_allclose(structured.ys, dense.ys, rtol=1e-5, atol=1e-8)
@@ -152,7 +152,7 @@ def dense_jacobian(scene):
 def test_derivatives_pass_through_the_structured_solve():
     """By the numbers and by the state, against differences, with the rule that never enters the elimination."""
     # Linear in the deflection, so that differences may be wide.
-    scene = four_bar(sj.Bushing(law=sj.VectorElastomer(1e5, 1e-3)))
+    scene = four_bar(sj.Bushing(law=sj.laws.VectorElastomer(1e5, 1e-3)))
     system = compile_scene(scene).system
     structure, theta = flatten_system(system)
     systems = systems_of(structure)
@@ -183,18 +183,22 @@ def test_only_rosenbrock_methods_without_a_jacobian_get_the_structure():
     import diffrax
 
     structure, _ = flatten_system(compile_scene(sj.gallery.four_bar(sj.Ideal())).system)
-    explicit, own = diffrax.Dopri8(), sj.Rodas5P(jacobian=lambda t, y, args: (jnp.eye(2), jnp.zeros(2)))
+    explicit, own = diffrax.Dopri8(), sj.solvers.Rodas5P(jacobian=lambda t, y, args: (jnp.eye(2), jnp.zeros(2)))
     assert with_structure(explicit, structure) is explicit
     assert with_structure(own, structure) is own
-    assert with_structure(sj.Rodas4P(), structure).jacobian is not None
+    assert with_structure(sj.solvers.Rodas4P(), structure).jacobian is not None
 
 
 STEPS = [
-    *((method, "film", n_rows) for method in (sj.Rodas5P, sj.Rodas4P, sj.Ros34PW2) for n_rows in (0, 2)),
-    *((sj.Rodas5P, "film", n_rows) for n_rows in (1, 3, 9)),
-    *((method, "pushed", n_rows) for method in (sj.Rodas5P, sj.Ros34PW2) for n_rows in (0, 2)),
-    *((sj.Rodas5P, name, n_rows) for name in ("ideal", "bristles", "friction in a joint") for n_rows in (0, 2)),
-    *((sj.Ros34PW2, name, 2) for name in ("bristles", "bushing")),
+    *(
+        (method, "film", n_rows)
+        for method in (sj.solvers.Rodas5P, sj.solvers.Rodas4P, sj.solvers.Ros34PW2)
+        for n_rows in (0, 2)
+    ),
+    *((sj.solvers.Rodas5P, "film", n_rows) for n_rows in (1, 3, 9)),
+    *((method, "pushed", n_rows) for method in (sj.solvers.Rodas5P, sj.solvers.Ros34PW2) for n_rows in (0, 2)),
+    *((sj.solvers.Rodas5P, name, n_rows) for name in ("ideal", "bristles", "friction in a joint") for n_rows in (0, 2)),
+    *((sj.solvers.Ros34PW2, name, 2) for name in ("bristles", "bushing")),
 ]
 """Methods, models and numbers of sensitivities whose steps are made in one call, and stage by stage."""
 
@@ -226,9 +230,9 @@ def test_a_step_in_one_call_is_that_of_the_loop(method, name, n_rows):
     [
         pytest.param(*case, marks=[] if case[2] < 3 and case[3] < 9 else [pytest.mark.slow])
         for case in [
-            *((sj.Rodas5P, "film", n_rows, n_runs) for n_rows in (0, 1, 2, 3) for n_runs in (3, 9)),
-            *((sj.Rodas5P, name, 2, 11) for name in ("pushed", "bristles", "friction in a joint")),
-            (sj.Ros34PW2, "bushing", 2, 11),
+            *((sj.solvers.Rodas5P, "film", n_rows, n_runs) for n_rows in (0, 1, 2, 3) for n_runs in (3, 9)),
+            *((sj.solvers.Rodas5P, name, 2, 11) for name in ("pushed", "bristles", "friction in a joint")),
+            (sj.solvers.Ros34PW2, "bushing", 2, 11),
         ]
     ],
 )

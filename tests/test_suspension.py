@@ -23,7 +23,7 @@ from spherejax.studies.subject import Length
 from spherejax.studies.subjects.suspension import SUSPENSION, differences
 
 # The paper presses a quarter of the clearance in, with Eq. 24.
-pytestmark = pytest.mark.filterwarnings("ignore::spherejax.OutOfRangeWarning")
+pytestmark = pytest.mark.filterwarnings("ignore::spherejax.errors.OutOfRangeWarning")
 
 JOINT = "wheel_a_arm"
 MODELS = {
@@ -167,11 +167,11 @@ def pushed(t):
 def test_a_stiff_method_at_rest_does_not_step_over_what_comes():
     """At rest the error of a long step is nothing, and the push is over within one of them."""
     body = sj.Body(1.0, (1e-2,) * 3, points={"ball": (0.0, 0.0, 0.0)})
-    joint = sj.Spherical("ground.socket", "body.ball", sj.Bushing(law=sj.VectorElastomer(1e4, 1e-3)))
+    joint = sj.Spherical("ground.socket", "body.ball", sj.Bushing(law=sj.laws.VectorElastomer(1e4, 1e-3)))
     forces = {"push": sj.AppliedWrench("body", force=pushed)}
     places = {"socket": (0.0, 0.0, 0.0)}
     scene = sj.Scene({"body": body}, {"joint": joint}, forces, gravity=(0.0, 0.0, 0.0), ground_points=places)
-    run = sj.simulate(scene, jnp.linspace(0.0, 6.0, 13), solver=sj.Rodas5P(), throw=True)
+    run = sj.simulate(scene, jnp.linspace(0.0, 6.0, 13), solver=sj.solvers.Rodas5P(), throw=True)
     assert run.position("body")[7, 2] == pytest.approx(1.0 / 1e4, rel=0.01)
 
 

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 import xarray
 import zarr
+from public import every_name
 from sweeping import elastic, hanging, pendulum
 
 import spherejax as sj
@@ -61,7 +62,9 @@ def test_lanes_make_the_same_runs_as_simulate():
 def test_a_stiff_method_runs_in_lanes():
     stiffness = np.array([1e5, 3e5, 1e6])
     ts = np.array([0.0, 0.01])
-    runs = simulate_many(elastic, {"stiffness": stiffness}, ts, rtol=1e-7, solver=sj.Ros34PW2(), block=Block(2, 1))
+    runs = simulate_many(
+        elastic, {"stiffness": stiffness}, ts, rtol=1e-7, solver=sj.solvers.Ros34PW2(), block=Block(2, 1)
+    )
     alone = sj.simulate(elastic(stiffness[1]), ts, rtol=1e-10, solver=diffrax.Dopri8())
     np.testing.assert_allclose(runs.trajectories.position("bob")[1, -1], alone.position("bob")[-1], atol=1e-7)
 
@@ -117,7 +120,7 @@ def test_grids():
 
 def test_random_numbers_come_from_a_number_a_generator_or_anew():
     ranges = {"a": (1.0, 2.0)}
-    for samples in (sj.random_samples, sj.sobol_samples):
+    for samples in (sj.studies.random_samples, sj.studies.sobol_samples):
         first = samples(ranges, 4, rng=3).values["a"]
         np.testing.assert_array_equal(samples(ranges, 4, rng=np.random.default_rng(3)).values["a"], first)
         assert np.any(samples(ranges, 4, rng=None).values["a"] != first)
@@ -130,12 +133,14 @@ def test_random_numbers_come_from_a_number_a_generator_or_anew():
 
 
 def test_no_public_function_has_a_seed():
-    calls = [getattr(sj, name) for name in sj.__all__ if name != "RandomRoad"]  # whose seed is a number of the scene
+    calls = [
+        thing for name, thing in every_name().items() if name != "RandomRoad"
+    ]  # whose seed is a number of the scene
     with_rng = [call for call in calls if callable(call) and "rng" in _arguments(call)]
     assert len(with_rng) == 10
     assert not [call for call in calls if callable(call) and "seed" in _arguments(call)]
     with pytest.warns(DeprecationWarning, match="seed= is called rng="):
-        assert sj.GrowingHorizon(seed=3) == sj.GrowingHorizon(rng=3)
+        assert sj.studies.GrowingHorizon(seed=3) == sj.studies.GrowingHorizon(rng=3)
 
 
 def _arguments(call) -> set[str]:

@@ -28,8 +28,8 @@ RECORD = [
     "final position.bob",
     "sensitivity final position.bob",
     "onsets.hook",
-    sj.Sensitivity("penetration.hook", by=("mu",)),
-    sj.Sensitivity(speeds),
+    sj.studies.Sensitivity("penetration.hook", by=("mu",)),
+    sj.studies.Sensitivity(speeds),
 ]
 RUNS = {name: values.ravel() for name, values in zip(GRID, np.meshgrid(*GRID.values(), indexing="ij"), strict=True)}
 
@@ -122,7 +122,12 @@ def test_a_stopped_sweep_goes_on_and_ends_the_same(result, tmp_path):
     assert_same(swept(store=path), result)
     with pytest.raises(sj.SceneError, match="store of another sweep: its record"):
         sj.sweep(
-            hanging, GRID, TS, record=[*RECORD[:3], sj.Sensitivity(speeds, by=("mu",))], store=path, progress=False
+            hanging,
+            GRID,
+            TS,
+            record=[*RECORD[:3], sj.studies.Sensitivity(speeds, by=("mu",))],
+            store=path,
+            progress=False,
         )
 
 
@@ -159,8 +164,11 @@ def assert_same(found, expected):
         (["sensitivity onsets.hook"], "derivatives are kept of samples, final values"),
         (["sensitivity position.bib"], "one of 'bob'"),
         (["sensitivity position"], "belongs to a body"),
-        ([sj.Sensitivity("position.bob", by=("mass",))], "sensitivities by 'mass': no such parameter; the sweep has"),
-        (["sensitivity position.bob", sj.Sensitivity("position.bob")], "twice"),
+        (
+            [sj.studies.Sensitivity("position.bob", by=("mass",))],
+            "sensitivities by 'mass': no such parameter; the sweep has",
+        ),
+        (["sensitivity position.bob", sj.studies.Sensitivity("position.bob")], "twice"),
     ],
 )
 def test_bad_requests(record, words):
@@ -175,7 +183,7 @@ def test_a_stiff_method():
     def ends(scale, **options):
         return simulate_many(elastic, {"stiffness": stiffness * scale}, ts, **options)
 
-    runs = ends(1.0, rtol=1e-6, solver=sj.Ros34PW2(), by=("stiffness",), block=Block(2, 1))
+    runs = ends(1.0, rtol=1e-6, solver=sj.solvers.Ros34PW2(), by=("stiffness",), block=Block(2, 1))
     above, below = (np.asarray(ends(1 + s, rtol=1e-11).trajectories.ys[:, -1, :3]) for s in (h, -h))
     differences = (above - below) / (2 * h * stiffness[:, None])
     sizes = np.max(np.abs(differences), 1)

@@ -182,7 +182,7 @@ def test_going_on_verifies_too(store):
 
 def test_what_is_not_verified_is_said(store):
     zarr.open_group(store, mode="r+")["height"][0] = 7.0
-    with pytest.warns(sj.StoreWarning, match="compares nothing"):
+    with pytest.warns(sj.errors.StoreWarning, match="compares nothing"):
         assert float(sj.open_sweep(store, verify=False)["height"][0]) == 7.0
     with pytest.raises(sj.SceneError, match="chunk 0 is not what was written"):
         sj.open_sweep(store)
@@ -207,14 +207,14 @@ def of_earlier_version(store: Path) -> None:
 def test_a_store_of_an_earlier_version_opens_with_a_word(store):
     of_earlier_version(store)
     zarr.open_group(store, mode="r+")["digest"][1] = 0
-    with pytest.warns(sj.StoreWarning, match="written by an earlier version"):
+    with pytest.warns(sj.errors.StoreWarning, match="written by an earlier version"):
         assert int(np.sum(sj.open_sweep(store)["status"] == 0)) == 2
-    verified = pytest.warns(sj.StoreWarning, match="have been verified")
-    with verified, pytest.warns(sj.StoreWarning, match="see to it yourself"):
+    verified = pytest.warns(sj.errors.StoreWarning, match="have been verified")
+    with verified, pytest.warns(sj.errors.StoreWarning, match="see to it yourself"):
         found = swept(store=store)
     assert np.all(found["status"] == 0)
     zarr.open_group(store, mode="r+")["height"][3] = 7.0
-    with pytest.warns(sj.StoreWarning), pytest.raises(sj.SceneError, match="chunk 1 is not what was written"):
+    with pytest.warns(sj.errors.StoreWarning), pytest.raises(sj.SceneError, match="chunk 1 is not what was written"):
         sj.open_sweep(store)
 
 
@@ -281,7 +281,7 @@ def test_a_file_system_without_locks_is_named(tmp_path, monkeypatch):
         raise OSError(errno.ENOLCK, "No locks available")
 
     monkeypatch.setattr("fcntl.flock", no_locks)
-    with pytest.warns(sj.StoreWarning, match="has no locks"), lock.held(tmp_path / "sweep.zarr"):
+    with pytest.warns(sj.errors.StoreWarning, match="has no locks"), lock.held(tmp_path / "sweep.zarr"):
         pass
 
 
@@ -300,7 +300,9 @@ def test_a_full_disk_loses_nothing(whole, tmp_path, monkeypatch):
         write(self, key, value)
 
     monkeypatch.setattr(zarr.Array, "__setitem__", until_full)
-    with pytest.raises(sj.SweepError, match=r"cannot write chunk 1 .* No space left on device.*Make room") as stop:
+    with pytest.raises(
+        sj.errors.SweepError, match=r"cannot write chunk 1 .* No space left on device.*Make room"
+    ) as stop:
         swept(store=path)
     assert "2 of 4 runs are in" in stop.value.__notes__[0]
     monkeypatch.undo()
@@ -345,7 +347,7 @@ KilledWorker = type("KilledWorker", (Exception,), {})  # as Dask's
 )
 def test_what_stops_a_sweep_is_said_and_loses_nothing(whole, tmp_path, executor, words):
     path = tmp_path / "sweep.zarr"
-    with pytest.raises(sj.SweepError, match=words) as stop:
+    with pytest.raises(sj.errors.SweepError, match=words) as stop:
         swept(store=path, executor=executor)
     assert "2 of 4 runs are in" in stop.value.__notes__[0]
     assert swept(store=path).equals(sj.open_sweep(whole))

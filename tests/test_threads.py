@@ -103,7 +103,7 @@ def test_fits_and_sweeps_at_the_same_time_are_as_one_after_the_other():
                         chunk=4, progress=False)  # fmt: skip
 
     def fitted(seed):
-        return sj.fit(oscillator, START, seen(seed), noise=SENSOR, starts=2, horizon=sj.Whole(), progress=False)
+        return sj.fit(oscillator, START, seen(seed), noise=SENSOR, starts=2, horizon=sj.studies.Whole(), progress=False)
 
     alone = [swept(1)["final_position.bob"].values, fitted(0).estimates, swept(2)["final_position.bob"].values]
     with ThreadPoolExecutor(4) as pool:

@@ -46,7 +46,7 @@ def test_spreads_have_units_and_middles(asked):
         "--tolerance", "stiffness=+-20%", "--tolerance", "rocker.mass=30 g+-0.5g", "--tolerance", "gravity.z=-9.9:-9.7",
         *OF,
     )  # fmt: skip
-    assert spreads["stiffness"] == sj.Tolerance(1e5, 2e4)
+    assert spreads["stiffness"] == sj.studies.Tolerance(1e5, 2e4)
     assert spreads["rocker_mass"].nominal == pytest.approx(0.03)
     assert spreads["rocker_mass"].half_width == pytest.approx(5e-4)
     assert spreads["gravity_z"] == (-9.9, -9.7)
@@ -58,7 +58,7 @@ def test_spreads_have_units_and_middles(asked):
 
 def test_uniform_limits(asked):
     _, _, spreads = asked("--tolerance", "damping=+-10%", "--uniform", *OF)
-    assert spreads["damping"] == sj.Tolerance(1e-3, 1e-4, "uniform")
+    assert spreads["damping"] == sj.studies.Tolerance(1e-3, 1e-4, "uniform")
 
 
 @pytest.mark.parametrize(
@@ -103,9 +103,9 @@ def test_it_says_what_the_study_says(capsys, tmp_path):
         return eqx.tree_at(lambda s: s.bodies["rocker"].mass, scene, rocker_mass)
 
     mass = float(sj.gallery.four_bar().bodies["rocker"].mass)
-    spreads = {"stiffness": sj.Tolerance(1e5, 2e4), "rocker_mass": sj.Tolerance(mass, 5e-4)}
+    spreads = {"stiffness": sj.studies.Tolerance(1e5, 2e4), "rocker_mass": sj.studies.Tolerance(mass, 5e-4)}
     ts = np.linspace(0.0, 0.05, 11)
-    budget = sj.tolerance_budget(build, spreads, ts, observables=["position.rocker.z"])
+    budget = sj.studies.tolerance_budget(build, spreads, ts, observables=["position.rocker.z"])
     with (tmp_path / "tolerances.csv").open() as file:
         rows = list(csv.DictReader(file))
     found = np.array([float(row["deviation.position.rocker.z [m]"]) for row in rows])

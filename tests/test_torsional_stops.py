@@ -17,7 +17,7 @@ def wheel(*stop, speed=SPEED, forces=None, **more):
     """A wheel on a hinge between two stops, without weight."""
     body = sj.Body(1.0, (INERTIA,) * 3, angular_velocity=(0.0, 0.0, speed))
     hinge = {"hinge": sj.Revolute(ENDS, (0, 0, 0), Z)}
-    forces = {"stop": sj.TorsionalStop(ENDS, Z, *stop, **more), **(forces or {})}
+    forces = {"stop": sj.forces.TorsionalStop(ENDS, Z, *stop, **more), **(forces or {})}
     return sj.Scene({"w": body}, hinge, forces, gravity=(0, 0, 0))
 
 
@@ -53,7 +53,7 @@ def test_a_wheel_goes_to_and_fro_between_its_stops():
     np.testing.assert_array_equal(found["depth"][49:], 0.0)
 
 
-ROADS = {"lane": {}, "stiff lane": {"solver": sj.Rodas5P()}, "array code": {"scalar": False}}
+ROADS = {"lane": {}, "stiff lane": {"solver": sj.solvers.Rodas5P()}, "array code": {"scalar": False}}
 
 
 @pytest.mark.parametrize("road", [*list(ROADS)[:2], pytest.param("array code", marks=pytest.mark.slow)])
@@ -72,7 +72,7 @@ def test_each_impact_leaves_the_restitution_squared(road):
 
 
 @pytest.mark.parametrize("e", [0.3, 0.9])
-@pytest.mark.parametrize("spring", [None, sj.Polynomial([0.0, 0.0, 0.0, 1e7])])
+@pytest.mark.parametrize("spring", [None, sj.functions.Polynomial([0.0, 0.0, 0.0, 1e7])])
 def test_the_restitution_is_that_of_any_speed_and_spring(e, spring):
     stiffness = STIFFNESS if spring is None else 0.0
     for speed in (0.5, 50.0):
@@ -83,7 +83,7 @@ def test_the_restitution_is_that_of_any_speed_and_spring(e, spring):
 
 def test_a_slide_bounces_by_the_same_law():
     body = sj.Body(2.0, (1.0, 1.0, 1.0), velocity=(0.0, 0.0, -3.0))
-    stop = sj.BumpStop(("ground", "b"), shortest=-0.3, stiffness=1e5, direction=Z, restitution=0.7)
+    stop = sj.forces.BumpStop(("ground", "b"), shortest=-0.3, stiffness=1e5, direction=Z, restitution=0.7)
     run = sj.simulate(sj.Scene({"b": body}, forces={"stop": stop}, gravity=(0, 0, 0)), np.array([0.0, 0.3]), rtol=1e-9)
     assert run.velocity("b")[-1, 2] == pytest.approx(np.sqrt(2.1**2 + left_over(0.7) * 1e-4), rel=1e-6)
 
@@ -143,7 +143,7 @@ def test_what_rests_on_a_stop_stays_there():
 def test_backlash_with_damping():
     """A rotor with a dead band of 0.05 rad, 1e4 N m/rad and 2 N m s/rad, driven to and fro, against SciPy."""
     half, c, onset = 0.025, 2.0, 1e-3
-    motor = {"motor": sj.Actuator(sj.Turn(ENDS, Z), sj.Sine(20.0, 15.0))}
+    motor = {"motor": sj.Actuator(sj.Turn(ENDS, Z), sj.functions.Sine(20.0, 15.0))}
     ts = np.linspace(0.0, 0.1, 41)
     scene = wheel(-half, half, STIFFNESS, c, onset, speed=3.0, forces=motor)
     run = sj.simulate(scene, ts, rtol=1e-10)
@@ -206,11 +206,11 @@ def test_backlash_with_damping():
 )
 def test_bad_input_is_named(more, message):
     given = {"bodies": ENDS, "axis": Z, "largest": 0.5, "stiffness": 1.0, **more}
-    scene = sj.Scene({"w": sj.Body(1.0, (1.0, 1.0, 1.0))}, forces={"stop": sj.TorsionalStop(**given)})
+    scene = sj.Scene({"w": sj.Body(1.0, (1.0, 1.0, 1.0))}, forces={"stop": sj.forces.TorsionalStop(**given)})
     with pytest.raises(sj.SceneError, match=message):
-        sj.compile_scene(scene)
+        sj.equations.compile_scene(scene)
 
 
 def test_a_stop_without_a_limit_is_refused():
     with pytest.raises(TypeError, match="smallest= or largest="):
-        sj.TorsionalStop(ENDS, Z, stiffness=1.0)
+        sj.forces.TorsionalStop(ENDS, Z, stiffness=1.0)

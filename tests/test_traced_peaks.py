@@ -10,8 +10,10 @@ from test_continuation import block, block_at
 import spherejax as sj
 
 pytestmark = [
-    pytest.mark.filterwarnings("ignore::spherejax.OutOfRangeWarning"),  # 0.5 m/s press beyond Eq. 24's range
-    pytest.mark.filterwarnings("ignore::spherejax.SerialRunsWarning"),  # peaks of many runs are looked for one by one
+    pytest.mark.filterwarnings("ignore::spherejax.errors.OutOfRangeWarning"),  # 0.5 m/s press beyond Eq. 24's range
+    pytest.mark.filterwarnings(
+        "ignore::spherejax.errors.SerialRunsWarning"
+    ),  # peaks of many runs are looked for one by one
 ]
 
 

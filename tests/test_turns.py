@@ -44,7 +44,7 @@ def test_a_torsional_spring_is_wound_up_by_any_number_of_turns(speed):
 
 
 ROADS = {
-    "stiff lane": {"solver": sj.Rodas5P()},
+    "stiff lane": {"solver": sj.solvers.Rodas5P()},
     "array code": {"scalar": False},
     "diffrax": {"adjoint": diffrax.RecursiveCheckpointAdjoint()},
     "diffrax, implicit": {"solver": diffrax.Kvaerno5(), "rtol": 1e-7},
@@ -97,7 +97,7 @@ def geared(ratio=3.0, speed=30.0, torque=0.01, stiffness=1e5, motor=None):
     }
     turns = sj.Turn(("ground", "pinion"), Z, r), sj.Turn(("ground", "wheel"), Z, ratio * r)
     forces = {
-        "mesh": sj.Coupler(*turns, ratio=-1.0, stiffness=stiffness),
+        "mesh": sj.forces.Coupler(*turns, ratio=-1.0, stiffness=stiffness),
         "motor": sj.Actuator(sj.Turn(("ground", "pinion"), Z), torque) if motor is None else motor,
     }
     return sj.Scene({"pinion": pinion, "wheel": other}, joints, forces, gravity=(0, 0, 0))
@@ -120,10 +120,10 @@ def test_what_acts_along_a_turn_reads_all_of_it():
     turn = sj.Turn(("ground", "w"), Z)
     forces = {
         "motor": sj.Actuator(turn, 0.0),
-        "samples": sj.SampledActuator(turn, [0.0, 0.5], [0.0, 0.0]),
+        "samples": sj.forces.SampledActuator(turn, [0.0, 0.5], [0.0, 0.0]),
         "control": sj.PID(turn, 0.0, 0.0),
         "by rate": sj.PID(turn, 40.0, 0.0, of_rate=True),
-        "digital": sj.SampledPID(turn, 0.05, 0.0, 0.0),
+        "digital": sj.forces.SampledPID(turn, 0.05, 0.0, 0.0),
     }
     run = sj.simulate(wheel(forces, -40.0), TS, rtol=1e-9)
     for name in forces:
@@ -131,7 +131,7 @@ def test_what_acts_along_a_turn_reads_all_of_it():
 
 
 def test_a_force_of_ones_own_with_a_turn_needs_to_know_nothing_of_it():
-    class Brake(sj.AbstractForce):
+    class Brake(sj.forces.AbstractForce):
         """Holds a shaft more, the further it has turned."""
 
         turn: sj.Turn
@@ -185,7 +185,9 @@ def test_a_tilt_by_half_a_turn_is_said():
     """A free body that tumbles across the axis that its spring is about."""
     body = sj.Body(1.0, (1e-3,) * 3, angular_velocity=(1.0, 0.0, 0.0))
     scene = sj.Scene({"w": body}, forces=coil(1e-6), gravity=(0, 0, 0))
-    with pytest.warns(sj.OutOfRangeWarning, match="^force element 'coil': the axis .* tilted by more than 170 degrees"):
+    with pytest.warns(
+        sj.errors.OutOfRangeWarning, match="^force element 'coil': the axis .* tilted by more than 170 degrees"
+    ):
         run = sj.simulate(scene, [0.0, 3.1])
     assert run.status == sj.Status.SUCCEEDED
     assert "force element 'coil': the axis" in run.audit
@@ -198,7 +200,7 @@ def driven(stiffness=0.0):
     """A wheel in oil whose motor swells and ebbs four times a second, while it turns once."""
     w, c, J = 2 * np.pi, 1e-3, 1e-3
     turn = sj.Turn(("ground", "w"), Z)
-    motor = sj.Actuator(turn, sj.Sine(1e-3, 4.0, offset=c * w))
+    motor = sj.Actuator(turn, sj.functions.Sine(1e-3, 4.0, offset=c * w))
     oil = sj.TorsionalSpring(("ground", "w"), Z, stiffness, c)
     return wheel({"motor": motor, "oil": oil}, w, J)
 
@@ -214,13 +216,13 @@ def test_a_wheel_that_goes_round_has_a_cycle():
 
 
 def test_a_spring_that_is_wound_up_has_no_cycle():
-    with pytest.warns(sj.CycleWarning, match="a spring is wound up"):
+    with pytest.warns(sj.errors.CycleWarning, match="a spring is wound up"):
         assert not sj.steady_cycle(driven(2e-8), period=1.0, settle=0).succeeded
 
 
 def on_rubber(kind, speed, rotational):
     """A wheel on a bushing, which resists its turn by 0.02 N m/rad."""
-    law = sj.MatrixElastomer(np.diag([1e5] * 3), np.zeros((3, 3)), np.diag([*rotational, 0.02]))
+    law = sj.laws.MatrixElastomer(np.diag([1e5] * 3), np.zeros((3, 3)), np.diag([*rotational, 0.02]))
     model = sj.Bushing(law=law)
     joints = {
         "revolute": sj.Revolute(("ground", "w"), (0, 0, 0), Z, model),
@@ -247,7 +249,7 @@ def test_rubber_that_is_twisted_further_ends_the_run(kind):
         run = sj.simulate(on_rubber(kind, 40.0, (0.02, 0.02)), TS)
     assert run.status == sj.Status.AUDIT_FAILED
     # What the message advises.
-    law = sj.HingeElastomer(np.diag([1e5] * 3), np.zeros((3, 3)), 0.02)
+    law = sj.laws.HingeElastomer(np.diag([1e5] * 3), np.zeros((3, 3)), 0.02)
     scene = wheel(coil())
     scene = sj.Scene(
         scene.bodies,
@@ -261,7 +263,7 @@ def test_rubber_that_is_twisted_further_ends_the_run(kind):
 
 def test_a_moment_is_continuous_through_half_a_turn():
     """Of a cylindrical bushing that is tilted besides: it jumped to its opposite."""
-    law = sj.MatrixElastomer.cylindrical(
+    law = sj.laws.MatrixElastomer.cylindrical(
         np.array(Z),
         radial_stiffness=1.0,
         axial_stiffness=1.0,
@@ -285,7 +287,7 @@ def test_a_moment_is_continuous_through_half_a_turn():
 def test_rubber_is_relaxed_by_the_shorter_way(sign):
     """Whatever the sign of the quaternion that says where it is."""
     q = sign * np.array([np.cos(0.15), 0.0, 0.0, np.sin(0.15)])
-    law = sj.MatrixElastomer(np.diag([1e5] * 3), np.zeros((3, 3)), np.eye(3))
+    law = sj.laws.MatrixElastomer(np.diag([1e5] * 3), np.zeros((3, 3)), np.eye(3))
     joint = sj.Revolute(("ground", "w"), (0, 0, 0), Z, sj.Bushing(law=law, relaxed_quaternion=q))
     body = sj.Body(1.0, (1e-3,) * 3)
     run = sj.simulate(sj.Scene({"w": body}, {"rubber": joint}, gravity=(0, 0, 0)), [0.0, 1e-4])

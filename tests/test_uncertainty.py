@@ -31,25 +31,25 @@ def times(a, b):
 # Spreads --------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("draw", [sj.random_samples, sj.sobol_samples])
+@pytest.mark.parametrize("draw", [sj.studies.random_samples, sj.studies.sobol_samples])
 def test_samples_follow_their_distributions(draw):
     spreads = {
-        "part": sj.Tolerance(1e-4, 3e-5),
-        "even": sj.Tolerance(1.0, 0.5, "uniform"),
+        "part": sj.studies.Tolerance(1e-4, 3e-5),
+        "even": sj.studies.Tolerance(1.0, 0.5, "uniform"),
         "range": (2.0, 4.0),
         "skew": stats.gamma(3.0, scale=0.1),
     }
     found = draw(spreads, 4096).values
     for name, spread in spreads.items():
-        given = spread.distribution if isinstance(spread, sj.Tolerance) else stats.uniform(2.0, 2.0)
+        given = spread.distribution if isinstance(spread, sj.studies.Tolerance) else stats.uniform(2.0, 2.0)
         expected = spread if name == "skew" else given
         assert stats.kstest(found[name], expected.cdf).pvalue > 1e-3
     assert np.max(np.abs(found["part"] - 1e-4)) <= 3e-5  # parts beyond the limits are rejected
-    assert stats.truncnorm(-3, 3).std() * 1e-5 == pytest.approx(sj.Tolerance(1e-4, 3e-5).distribution.std())
+    assert stats.truncnorm(-3, 3).std() * 1e-5 == pytest.approx(sj.studies.Tolerance(1e-4, 3e-5).distribution.std())
 
 
 def test_ranges_give_the_numbers_that_they_always_gave():
-    found = sj.random_samples({"a": (0.25, 3.0), "b": (1e-6, 1e-3)}, 50, rng=3, logarithmic=["b"]).values
+    found = sj.studies.random_samples({"a": (0.25, 3.0), "b": (1e-6, 1e-3)}, 50, rng=3, logarithmic=["b"]).values
     points = np.random.default_rng(3).random((50, 2))
     np.testing.assert_array_equal(found["a"], 0.25 + points[:, 0] * (3.0 - 0.25))
     np.testing.assert_array_equal(found["b"], np.exp(np.log(1e-6) + points[:, 1] * np.log(1e-3 / 1e-6)))
@@ -58,19 +58,28 @@ def test_ranges_give_the_numbers_that_they_always_gave():
 @pytest.mark.parametrize(
     ("ask", "words"),
     [
-        (lambda: sj.Tolerance(1.0, 0.0), "half_width = 0 must be positive"),
-        (lambda: sj.Tolerance(np.nan, 1.0), "nominal = nan must be a finite number"),
-        (lambda: sj.Tolerance(1.0, 0.1, "flat"), "'normal' or 'uniform'"),
-        (lambda: sj.random_samples({"a": 3.0}, 4), "needs a range .* sj.Tolerance"),
-        (lambda: sj.random_samples({"a": stats.cauchy()}, 4), "finite mean and standard deviation"),
-        (lambda: sj.random_samples({"a": stats.norm([1, 2], 1)}, 4), "of one number"),
-        (lambda: sj.random_samples({"a": sj.Tolerance(1.0, 0.1)}, 4, logarithmic=["a"]), "is for ranges"),
-        (lambda: sj.sobol_indices(up, {"speed": (0, 1), "gravity": (9, 10)}, TS, record=[], n=24), "power of two"),
-        (lambda: sj.sobol_indices(up, {}, TS, record=["final position.ball"]), "needs uncertain numbers by name"),
+        (lambda: sj.studies.Tolerance(1.0, 0.0), "half_width = 0 must be positive"),
+        (lambda: sj.studies.Tolerance(np.nan, 1.0), "nominal = nan must be a finite number"),
+        (lambda: sj.studies.Tolerance(1.0, 0.1, "flat"), "'normal' or 'uniform'"),
+        (lambda: sj.studies.random_samples({"a": 3.0}, 4), "needs a range .* sj.studies.Tolerance"),
+        (lambda: sj.studies.random_samples({"a": stats.cauchy()}, 4), "finite mean and standard deviation"),
+        (lambda: sj.studies.random_samples({"a": stats.norm([1, 2], 1)}, 4), "of one number"),
+        (
+            lambda: sj.studies.random_samples({"a": sj.studies.Tolerance(1.0, 0.1)}, 4, logarithmic=["a"]),
+            "is for ranges",
+        ),
+        (
+            lambda: sj.studies.sobol_indices(up, {"speed": (0, 1), "gravity": (9, 10)}, TS, record=[], n=24),
+            "power of two",
+        ),
+        (
+            lambda: sj.studies.sobol_indices(up, {}, TS, record=["final position.ball"]),
+            "needs uncertain numbers by name",
+        ),
         (lambda: sj.monte_carlo(up, {"speed": (0, 1)}, TS, record=["final position.ball"], n=1), "n = 1"),
         (lambda: sj.monte_carlo(up, {"speed": "fast"}, TS, record=["final position.ball"]), "needs a range"),
-        (lambda: sj.tolerance_budget(up, {"speed": (0, 1), "gravity": (9, 10)}, TS), "observables="),
-        (lambda: sj.tolerance_budget(up, {"sped": (0, 1)}, TS, of=lambda run: run.ts[-1]), "cannot be called"),
+        (lambda: sj.studies.tolerance_budget(up, {"speed": (0, 1), "gravity": (9, 10)}, TS), "observables="),
+        (lambda: sj.studies.tolerance_budget(up, {"sped": (0, 1)}, TS, of=lambda run: run.ts[-1]), "cannot be called"),
     ],
 )
 def test_what_makes_no_sense_is_refused(ask, words):
@@ -80,20 +89,20 @@ def test_what_makes_no_sense_is_refused(ask, words):
 
 # First order ----------------------------------------------------------------------------------------------------------
 
-FLIGHT = {"speed": sj.Tolerance(5.0, 0.3), "gravity": (G - 0.1, G + 0.1)}
+FLIGHT = {"speed": sj.studies.Tolerance(5.0, 0.3), "gravity": (G - 0.1, G + 0.1)}
 
 
 @pytest.fixture(scope="module")
 def budget():
     with warnings.catch_warnings():
-        warnings.simplefilter("error", sj.UncertaintyWarning)
-        return sj.tolerance_budget(up, FLIGHT, TS, observables=["position.ball"])
+        warnings.simplefilter("error", sj.errors.UncertaintyWarning)
+        return sj.studies.tolerance_budget(up, FLIGHT, TS, observables=["position.ball"])
 
 
 def test_a_budget_of_a_linear_motion_is_exact(budget):
     """z = v t - g t^2 / 2."""
     part, t = budget.of("position.ball"), np.asarray(TS)
-    deviations = np.array([sj.Tolerance(5.0, 0.3).distribution.std(), 0.2 / np.sqrt(12)])
+    deviations = np.array([sj.studies.Tolerance(5.0, 0.3).distribution.std(), 0.2 / np.sqrt(12)])
     effects = np.stack([t * deviations[0], -(t**2) / 2 * deviations[1]], 1)
     np.testing.assert_allclose(part.effects[:, 2], effects, rtol=0, atol=1e-10)
     np.testing.assert_allclose(part.deviation[:, 2], np.linalg.norm(effects, axis=1), rtol=0, atol=1e-10)
@@ -130,9 +139,11 @@ def test_a_budget_that_bends_says_so():
     def sideways(run):
         return run.position("ball")[-1, 0]
 
-    with pytest.warns(sj.UncertaintyWarning, match="sideways by 49 %.*sj.sobol_indices"):
-        found = sj.tolerance_budget(lambda a: times(a, a), {"a": sj.Tolerance(0.1, 0.3)}, TS, of=sideways)
-    deviation = sj.Tolerance(0.1, 0.3).distribution.std()
+    with pytest.warns(sj.errors.UncertaintyWarning, match="sideways by 49 %.*sj.studies.sobol_indices"):
+        found = sj.studies.tolerance_budget(
+            lambda a: times(a, a), {"a": sj.studies.Tolerance(0.1, 0.3)}, TS, of=sideways
+        )
+    deviation = sj.studies.Tolerance(0.1, 0.3).distribution.std()
     (part,) = found.parts
     assert part.deviation[0, 0] == pytest.approx(2 * 0.1 * deviation * END, rel=1e-8)
     assert part.bent == pytest.approx(deviation / (2 * 0.1), rel=1e-6)
@@ -140,9 +151,9 @@ def test_a_budget_that_bends_says_so():
 
 def test_a_budget_at_a_best_point_says_that_it_misses_everything():
     """x = a^2 t about a = 0: the derivative vanishes, the scatter does not."""
-    with pytest.warns(sj.UncertaintyWarning, match="position.ball.x by many times"):
-        found = sj.tolerance_budget(
-            lambda a: times(a, a), {"a": sj.Tolerance(0.0, 0.3)}, TS, observables=["position.ball.x"]
+    with pytest.warns(sj.errors.UncertaintyWarning, match="position.ball.x by many times"):
+        found = sj.studies.tolerance_budget(
+            lambda a: times(a, a), {"a": sj.studies.Tolerance(0.0, 0.3)}, TS, observables=["position.ball.x"]
         )
     np.testing.assert_allclose(found.parts[0].deviation, 0.0, atol=1e-15)
 
@@ -155,13 +166,13 @@ def test_a_budget_of_a_number_near_its_limit_does_not_step_over_it():
     def build(a):
         return thrown(z=jnp.where(a < 0, jnp.nan, a))
 
-    found = sj.tolerance_budget(build, {"a": skew}, TS, observables=["position.ball.z"])
+    found = sj.studies.tolerance_budget(build, {"a": skew}, TS, observables=["position.ball.z"])
     assert found.parts[0].bent < 1e-6
 
 
 def test_a_budget_of_a_run_that_stops_early_says_so():
-    with pytest.warns(sj.UncertaintyWarning, match="all numbers at their middle stopped early"):
-        found = sj.tolerance_budget(
+    with pytest.warns(sj.errors.UncertaintyWarning, match="all numbers at their middle stopped early"):
+        found = sj.studies.tolerance_budget(
             sprung, {"stiffness": (3.9e4, 4e4)}, TS, observables="position.ball", max_steps=60, check=False
         )
     assert "stopped early" in str(found)
@@ -173,9 +184,9 @@ def test_each_observable_is_checked_by_its_own_runs():
     def straight(run):
         return run.position("ball")[:, 2]
 
-    with pytest.warns(sj.UncertaintyWarning, match="deviation: position.ball.x by 49 %. Take"):
-        found = sj.tolerance_budget(
-            lambda a: times(a, a), {"a": sj.Tolerance(0.1, 0.3)}, TS, observables=[straight, "position.ball.x"]
+    with pytest.warns(sj.errors.UncertaintyWarning, match="deviation: position.ball.x by 49 %. Take"):
+        found = sj.studies.tolerance_budget(
+            lambda a: times(a, a), {"a": sj.studies.Tolerance(0.1, 0.3)}, TS, observables=[straight, "position.ball.x"]
         )
     assert found.of("straight").bent < 1e-6
     assert found.of("position.ball.x").bent > 0.4
@@ -192,8 +203,8 @@ STIFF = {"stiffness": (10.0, 8e3)}
 
 
 def test_a_budget_whose_check_fails_says_so():
-    with pytest.warns(sj.UncertaintyWarning, match="at one deviation aside failed"):
-        sj.tolerance_budget(sprung, {"stiffness": (1.0, 9e3)}, TS, observables="position.ball", max_steps=60)
+    with pytest.warns(sj.errors.UncertaintyWarning, match="at one deviation aside failed"):
+        sj.studies.tolerance_budget(sprung, {"stiffness": (1.0, 9e3)}, TS, observables="position.ball", max_steps=60)
 
 
 # Shares of the variance -----------------------------------------------------------------------------------------------
@@ -218,7 +229,7 @@ SCATTER = {
 @pytest.fixture(scope="module")
 def indices():
     wanted = ["final position.ball", "position.ball.y"]
-    return sj.sobol_indices(flight, SCATTER, TS, record=wanted, n=1024, progress=False)
+    return sj.studies.sobol_indices(flight, SCATTER, TS, record=wanted, n=1024, progress=False)
 
 
 def test_indices_of_ishigamis_function(indices):
@@ -264,8 +275,10 @@ def test_indices_are_told_tabled_and_drawn(indices):
 
 
 def test_indices_leave_out_what_failed_and_say_so():
-    with pytest.warns(sj.UncertaintyWarning, match=r"sobol_indices: \d+ of 96 runs failed.*too_many_steps"):
-        found = sj.sobol_indices(sprung, STIFF, TS, record=["final position.ball"], n=32, max_steps=60, progress=False)
+    with pytest.warns(sj.errors.UncertaintyWarning, match=r"sobol_indices: \d+ of 96 runs failed.*too_many_steps"):
+        found = sj.studies.sobol_indices(
+            sprung, STIFF, TS, record=["final position.ball"], n=32, max_steps=60, progress=False
+        )
     assert " of 32 base samples have no failed run" in found.note
     assert np.all(np.isfinite(found.shares[0].total))
 
@@ -289,7 +302,7 @@ def test_the_scatter_of_samples_is_that_of_the_budget(budget):
 
 
 def test_samples_that_fail_are_left_out_and_told():
-    with pytest.warns(sj.UncertaintyWarning, match=r"monte_carlo: \d+ of 40 runs failed.*stiffness = "):
+    with pytest.warns(sj.errors.UncertaintyWarning, match=r"monte_carlo: \d+ of 40 runs failed.*stiffness = "):
         found = sj.monte_carlo(sprung, STIFF, TS, record=["final position.ball"], n=40, max_steps=60, progress=False)
     assert 2 <= found.is_used.sum() < 40
     assert np.all(np.isfinite(found.mean["final_position.ball"]))
@@ -303,7 +316,7 @@ def test_samples_that_all_fail_are_an_error():
 
 def test_a_store_keeps_the_runs(tmp_path):
     ask = dict(record=["final position.ball"], n=8, store=tmp_path / "s.zarr", progress=False)
-    first = sj.sobol_indices(up, FLIGHT, TS, **ask)
-    again = sj.sobol_indices(up, FLIGHT, TS, **ask)
+    first = sj.studies.sobol_indices(up, FLIGHT, TS, **ask)
+    again = sj.studies.sobol_indices(up, FLIGHT, TS, **ask)
     np.testing.assert_array_equal(first.shares[0].total, again.shares[0].total)
     assert sj.open_sweep(tmp_path / "s.zarr").sizes["run"] == 8 * 4

@@ -10,8 +10,8 @@ from test_continuation import MASS, block
 import spherejax as sj
 
 pytestmark = [
-    pytest.mark.filterwarnings("ignore::spherejax.OutOfRangeWarning"),  # 0.5 m/s press beyond Eq. 24's range
-    pytest.mark.filterwarnings("ignore::spherejax.SerialRunsWarning"),
+    pytest.mark.filterwarnings("ignore::spherejax.errors.OutOfRangeWarning"),  # 0.5 m/s press beyond Eq. 24's range
+    pytest.mark.filterwarnings("ignore::spherejax.errors.SerialRunsWarning"),
 ]
 
 RATE, LEVEL = np.sqrt(8.0 / MASS), 0.3

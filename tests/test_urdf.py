@@ -200,7 +200,7 @@ def test_a_planar_joint_slides_and_turns_in_its_plane_alone(written):
     text = two_links("planar").replace('<axis xyz="0 0 1"/>', '<axis xyz="0 3 4"/>')
     scene = sj.load_urdf(written(text), gravity=(0.5, 0.0, -9.81))
     push = sj.AppliedWrench("b", moment=(0.0, 0.6, 0.8))
-    planar = {"gravity": scene.gravity, "ground_points": scene.ground_points, "drift": sj.Projection()}
+    planar = {"gravity": scene.gravity, "ground_points": scene.ground_points, "drift": sj.solvers.Projection()}
     scene = sj.Scene(scene.bodies, scene.joints, {"push": push}, **planar)
     run = simulated(scene, ts=jnp.array([0.0, 0.2]))
     normal = np.array([0.0, 0.6, 0.8])

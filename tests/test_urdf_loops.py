@@ -95,7 +95,7 @@ def test_a_four_bar_moves_as_its_equation_says(written):
 
 
 def test_joints_that_are_not_named_close_the_loop_and_it_is_told(written):
-    with pytest.warns(sj.RobotWarning, match=r"moved to close them: positions=\{'j2': 0\.5, 'j3': -0\.5\}"):
+    with pytest.warns(sj.errors.RobotWarning, match=r"moved to close them: positions=\{'j2': 0\.5, 'j3': -0\.5\}"):
         scene = sj.load_urdf(written(loop()), positions={"j1": 0.5})
     same = sj.load_urdf(written(loop()), positions=CLOSED)
     for name in "abc":
@@ -189,7 +189,7 @@ ACCEPTED = {"positions": CLOSED, "ignore": ("extensions",)}
 def test_elements_of_other_programs_are_warned_of(written, element, words):
     body = BODY.replace('<link name="base"/>', '<link name="base"/><joint name="k" type="fixed"><parent link="base"/>'
                         '<child link="d"/></joint>') if "<link" in element else BODY  # fmt: skip
-    with pytest.warns(sj.RobotWarning, match=words):
+    with pytest.warns(sj.errors.RobotWarning, match=words):
         sj.load_urdf(written(element, body=body), positions=CLOSED)
     sj.load_urdf(written(element, body=body), **ACCEPTED)
 

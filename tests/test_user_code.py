@@ -30,7 +30,7 @@ def helper(x):
     return GAIN * x
 
 
-class Own(sj.AbstractForce):
+class Own(sj.forces.AbstractForce):
     """Pulls a body to the ground, by what is looked up in this module."""
 
     body: str = eqx.field(static=True)
@@ -39,7 +39,7 @@ class Own(sj.AbstractForce):
 
     def wrenches(self, t, motions):
         lift = -self.factor * self.stiffness * helper(motions[self.body].position[2]) * TABLE["gain"] / 3.0
-        return {self.body: sj.Wrench(jnp.stack([0.0 * lift, 0.0 * lift, lift]), jnp.zeros(3))}
+        return {self.body: sj.forces.Wrench(jnp.stack([0.0 * lift, 0.0 * lift, lift]), jnp.zeros(3))}
 
 
 class Counting(Own):
@@ -132,7 +132,7 @@ def test_studies_see_it_too(monkeypatch):
 def test_a_method_that_was_replaced_is_called(monkeypatch):
     def wrenches(self, t, motions):
         lift = -100.0 * self.stiffness * motions[self.body].position[2]
-        return {self.body: sj.Wrench(jnp.stack([0.0 * lift, 0.0 * lift, lift]), jnp.zeros(3))}
+        return {self.body: sj.forces.Wrench(jnp.stack([0.0 * lift, 0.0 * lift, lift]), jnp.zeros(3))}
 
     assert height() == expected()
     monkeypatch.setattr(Own, "wrenches", wrenches)
@@ -141,7 +141,7 @@ def test_a_method_that_was_replaced_is_called(monkeypatch):
 
 def test_checks_that_were_written_anew_are_made(monkeypatch):
     def requirements(self):
-        return [sj.Requirement("stiffness", self.stiffness, self.stiffness > 50.0, "be large", "Give more.")]
+        return [sj.laws.Requirement("stiffness", self.stiffness, self.stiffness > 50.0, "be large", "Give more.")]
 
     assert height() == expected()
     monkeypatch.setattr(Own, "requirements", requirements)

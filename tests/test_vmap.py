@@ -77,13 +77,13 @@ def test_nested_maps_are_one_queue():
 
 def test_sample_times_that_differ_are_worked_off_one_after_the_other():
     ts = jnp.stack([TS, TS / 2])
-    with pytest.warns(sj.SerialRunsWarning, match="sample times"):
+    with pytest.warns(sj.errors.SerialRunsWarning, match="sample times"):
         found = jax.vmap(lambda ts: run(1e-4, ts=ts).position("rocker"))(ts)
     np.testing.assert_allclose(found[0], run(1e-4).position("rocker"), rtol=0, atol=1e-11)
     np.testing.assert_allclose(found[1], run(1e-4, ts=ts[1]).position("rocker"), rtol=0, atol=1e-11)
 
 
-@pytest.mark.filterwarnings("ignore::spherejax.OutOfRangeWarning")  # pressed beyond what Eq. 24 is for
+@pytest.mark.filterwarnings("ignore::spherejax.errors.OutOfRangeWarning")  # pressed beyond what Eq. 24 is for
 def test_start_conditions_are_mapped():
     def thrown(speed):
         ball = sj.Body(

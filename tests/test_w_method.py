@@ -38,7 +38,7 @@ def anything(t, y, args):
 
 EXACT_OR_NOT = pytest.mark.parametrize(
     "solver",
-    [sj.Ros34PW2(), sj.Ros34PW2(jacobian=nothing), sj.Ros34PW2(jacobian=anything)],
+    [sj.solvers.Ros34PW2(), sj.solvers.Ros34PW2(jacobian=nothing), sj.solvers.Ros34PW2(jacobian=anything)],
     ids=["exact", "zero", "arbitrary"],
 )
 
@@ -154,7 +154,9 @@ def test_prothero_robinson_does_not_blow_up():
         return -1e6 * (y - jnp.sin(t)) + jnp.cos(t)
 
     steps = np.array([8, 16, 32])
-    errors = [abs(integrate(field, sj.Ros34PW2(), 2.0, jnp.zeros(1), n_steps=n)[0] - np.sin(2.0)) for n in steps]
+    errors = [
+        abs(integrate(field, sj.solvers.Ros34PW2(), 2.0, jnp.zeros(1), n_steps=n)[0] - np.sin(2.0)) for n in steps
+    ]
     assert (np.array(errors) < (2.0 / steps) ** 2 / 1e6).all()
     assert slopes(errors).min() > 1.8
 
@@ -167,7 +169,7 @@ def test_van_der_pol():
 
     wanted = np.array([1.706167732170483, -0.8928097010247975])
     errors = [
-        np.abs(integrate(field, sj.Ros34PW2(), 2.0, np.array([2.0, 0.0]), 1e-6, rtol=tol) / wanted - 1).max()
+        np.abs(integrate(field, sj.solvers.Ros34PW2(), 2.0, np.array([2.0, 0.0]), 1e-6, rtol=tol) / wanted - 1).max()
         for tol in (1e-4, 1e-7)
     ]
     assert errors[0] < 1e-2
@@ -178,7 +180,7 @@ def test_van_der_pol():
 
 BUSHING = sj.Bushing(stiffness=1e6, damping=1e-2)
 TURNING = sj.Bushing(
-    law=sj.MatrixElastomer(
+    law=sj.laws.MatrixElastomer(
         stiffness=jnp.diag(jnp.array([1e6, 2e6, 3e6])),
         damping=1e3 * jnp.eye(3),
         rotational_stiffness=jnp.diag(jnp.array([50.0, 60.0, 70.0])),
@@ -273,7 +275,7 @@ def film_step():
     """One compiled step of the lubricated four-bar as a function of (theta, y, h), and a point."""
     structure, theta, y = parts("film")
     rate = program_for(state_rate, structure)
-    solver = with_structure(sj.Ros34PW2(), structure)
+    solver = with_structure(sj.solvers.Ros34PW2(), structure)
     term = diffrax.ODETerm(lambda t, y, args: rate.inside(args.theta, args.ahead, t, y))
 
     def step(theta, y, h):
@@ -326,7 +328,7 @@ def test_agrees_with_a_method_of_high_order(name):
     wanted = sj.simulate(scene, ts, rtol=1e-9, atol=1e-12, solver=diffrax.Dopri8()).position("rocker")
     errors = []
     for tol in (1e-4, 1e-6):
-        run = sj.simulate(scene, ts, rtol=tol, atol=1e-3 * tol, solver=sj.Ros34PW2())
+        run = sj.simulate(scene, ts, rtol=tol, atol=1e-3 * tol, solver=sj.solvers.Ros34PW2())
         assert int(run.status) == sj.Status.SUCCEEDED
         assert int(run.stats.n_evaluations) == 4 * int(run.stats.n_steps)
         errors.append(np.abs(run.position("rocker") - wanted).max())
@@ -341,7 +343,7 @@ def test_sensitivity_of_a_motion():
     def height(stiffness, tol):
         scene = sj.gallery.four_bar(sj.Bushing(stiffness=stiffness, damping=1e-2))
         ts = jnp.array([0.0, 0.05])
-        run = sj.simulate(scene, ts, rtol=tol, atol=1e-3 * tol, solver=sj.Ros34PW2())
+        run = sj.simulate(scene, ts, rtol=tol, atol=1e-3 * tol, solver=sj.solvers.Ros34PW2())
         return run.position("rocker")[-1, 2]
 
     derivative, height = jax.jit(jax.jacfwd(height)), jax.jit(height)

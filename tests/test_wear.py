@@ -25,7 +25,9 @@ from spherejax.studies.wear.cycles import Rate, over_cycles
 from spherejax.studies.wear.deposit import Joint, Maps, rubbed
 from spherejax.studies.wear.sphere import cell_solid_angle, cell_width, centers, corners, sampled
 
-pytestmark = pytest.mark.filterwarnings("ignore::spherejax.OutOfRangeWarning")  # bounces press beyond Eq. 24's range
+pytestmark = pytest.mark.filterwarnings(
+    "ignore::spherejax.errors.OutOfRangeWarning"
+)  # bounces press beyond Eq. 24's range
 
 C, R, STIFFNESS, LOAD = 1e-4, 1e-2, 1.5e11, 200.0
 DEPTH = (LOAD / STIFFNESS) ** (2 / 3)
@@ -143,7 +145,7 @@ def test_a_pair_that_turns_as_one_body_does_not_wear():
     dry = sj.Dry(C, socket_radius=R, normal=sj.Hertz(stiffness=STIFFNESS))
     joints = {
         "hinge": sj.Revolute(("ground", "cup"), point=(0, 0, 0), axis=(0, 0, 1)),
-        "motor": sj.RotationDriver(("ground", "cup"), axis=(0, 0, 1), angle=sj.Linear(RATE)),
+        "motor": sj.RotationDriver(("ground", "cup"), axis=(0, 0, 1), angle=sj.functions.Linear(RATE)),
         "joint": sj.Spherical("cup.center", "ball.center", dry, starts_concentric=False),
     }
     run = sj.simulate(sj.Scene({"cup": cup, "ball": ball}, joints, gravity=(0, 0, 0)), np.linspace(0, 0.05, 3))
@@ -263,7 +265,7 @@ def test_finer_maps_converge(rolling):
     errors = []
     for n in (48, 96, 192):
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", sj.WearWarning)
+            warnings.simplefilter("ignore", sj.errors.WearWarning)
             worn = sj.wear(rolling, "joint", k_socket=K[0], k_ball=K[1], cells=n)
         expected = closed_forms("rolling", worn.directions)
         errors.append(
@@ -423,7 +425,7 @@ def test_wear_widens_the_patch_and_the_volume_goes_on(rolling):
 
 
 def test_a_foundation_in_a_wrong_unit_is_pointed_out(rolling):
-    with pytest.warns(sj.WearWarning, match="Check the unit of foundation"):
+    with pytest.warns(sj.errors.WearWarning, match="Check the unit of foundation"):
         sj.wear(rolling, "joint", **GOOD, cells=32, foundation=1e8)
 
 
@@ -510,11 +512,11 @@ def test_wrong_joints_and_runs_are_answered(rolling):
 
 @pytest.mark.slow
 def test_what_is_known_poorly_is_said(rolling, monkeypatch):
-    with pytest.warns(sj.WearWarning, match="Ask for more cells"):
+    with pytest.warns(sj.errors.WearWarning, match="Ask for more cells"):
         worn = sj.wear(rolling, "joint", **GOOD, cells=16)
     assert worn.volume_per_cycle["ball"] == near(GOOD["k_ball"] * LOAD * RATE * R * TURN, 0.02)
     monkeypatch.setattr(study, "POORLY_INTEGRATED", 0.0)
-    with pytest.warns(sj.WearWarning, match="simulate with a smaller rtol"):
+    with pytest.warns(sj.errors.WearWarning, match="simulate with a smaller rtol"):
         sj.wear(rolling, "joint", **GOOD, cells=96)
     monkeypatch.setattr(study, "LOST", -1.0)
     with pytest.raises(sj.SimulationError, match="not conserved"):

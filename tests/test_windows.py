@@ -94,7 +94,7 @@ def test_windows_change_nothing(name, small_windows, monkeypatch):
 
 @pytest.mark.slow
 def test_windows_change_nothing_of_what_is_corrected_at_its_samples(small_windows, monkeypatch):
-    scene = sj.gallery.four_bar(FOUR_BAR_MODELS["dry"], drift=sj.PostStabilization())
+    scene = sj.gallery.four_bar(FOUR_BAR_MODELS["dry"], drift=sj.solvers.PostStabilization())
 
     def made():
         return sj.simulate(scene, np.linspace(0.0, 0.02, 101))

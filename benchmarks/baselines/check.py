@@ -22,7 +22,9 @@ MODELS = {
     "bushing": sj.Bushing(1e6, 1e-4),
     "dry": sj.Dry(1e-4),
     "dry with friction": sj.Dry(1e-4, friction=sj.Threlfall()),
-    "lubricated": sj.Lubricated(1e-4, friction=sj.Threlfall(), film=sj.RadialFilm(), normal=sj.LankaraniNikravesh(0.9)),
+    "lubricated": sj.Lubricated(
+        1e-4, friction=sj.Threlfall(), film=sj.laws.RadialFilm(), normal=sj.LankaraniNikravesh(0.9)
+    ),
 }
 LARGEST_DIFFERENCE = 1e-12
 

@@ -80,8 +80,8 @@ def _fill_model(p: np.ndarray, model) -> str:
         p[FRICTION], p[THRESHOLD] = model.friction.mu, model.friction.v1
     if isinstance(model, sj.Dry):
         return "dry"
-    if not isinstance(model.film, sj.RadialFilm):
-        raise TypeError("the hand-written equations have the paper's film alone: film=sj.RadialFilm()")
+    if not isinstance(model.film, sj.laws.RadialFilm):
+        raise TypeError("the hand-written equations have the paper's film alone: film=sj.laws.RadialFilm()")
     p[FILM] = float(squeeze_coefficient(model.viscosity, model.socket_radius, model.clearance))
     p[WIDTH], p[OFFSET] = model.e_h0, model.e_h1
     return "lubricated"

@@ -56,7 +56,7 @@ def bearing(moment=None, mu=None, breakaway=None, *, radius, rate):
         law = sj.Threlfall(mu=kinetic, v1=radius * rate)
     else:
         law = sj.BrownMcPhee(kinetic, kinetic * (1.0 + breakaway), stribeck_velocity=radius * rate)
-    pressure = sj.PreloadAlone() if mu is None else sj.CosinePressure()
+    pressure = sj.laws.PreloadAlone() if mu is None else sj.laws.CosinePressure()
     return sj.Ideal(friction=law, radius=radius, pressure=pressure, preload=moment)
 
 
@@ -66,7 +66,7 @@ def drag(bodies, viscous=0.0, square=None):
     return sj.TorsionalSpring(bodies, AXIS, damping=viscous, damper=law)
 
 
-class Square(sj.AbstractFunction):
+class Square(sj.functions.AbstractFunction):
     """A resistance by the square of a speed.
 
     Attributes:

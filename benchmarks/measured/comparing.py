@@ -106,17 +106,17 @@ def least_squares_by_differences(
     return errors.search(ended.x, began)
 
 
-def fitted(build: Any, start: Mapping[str, Any], measured: Any, **options) -> tuple[sj.Fit, Search]:
+def fitted(build: Any, start: Mapping[str, Any], measured: Any, **options) -> tuple[sj.studies.Fit, Search]:
     """`sj.fit`, on the whole record unless a `horizon` says otherwise, and how it went."""
     began = time.process_time()
-    fit = sj.fit(build, start, measured, progress=False, **{"horizon": sj.Whole(), **options})
+    fit = sj.fit(build, start, measured, progress=False, **{"horizon": sj.studies.Whole(), **options})
     squares = [np.nansum((table * noise) ** 2) for table, noise in zip(fit.tables, fit.problem.noise, strict=True)]
     runs = sum(course.n_iterations for course in fit.courses) * len(fit.problem.experiments)
     numbers = {name: float(value) for name, value in fit.estimates.items() if np.ndim(value) == 0}
     return fit, Search(numbers, float(sum(squares)), runs, time.process_time() - began)
 
 
-def number_rows(model: str, fit: sj.Fit, units: Mapping[str, str], published: Mapping[str, float]) -> Rows:
+def number_rows(model: str, fit: sj.studies.Fit, units: Mapping[str, str], published: Mapping[str, float]) -> Rows:
     """A row for each parameter: published and own value, and the 95 % interval of the fit."""
     intervals = fit.interval(0.95)
     return [

@@ -120,7 +120,7 @@ def experiment_of(name: str, record: Record) -> sj.Measured:
 def fit_swing(name: str, record: Record, model: Mapping[str, Any]):
     """Friction and bodies from one record."""
     experiment = experiment_of(name, record)
-    method = sj.LevenbergMarquardt(max_iterations=25)
+    method = sj.studies.LevenbergMarquardt(max_iterations=25)
     return fitted(experiment.build, model, experiment, noise=NOISE, method=method)
 
 

@@ -94,7 +94,7 @@ def driven(
         "encoder": drag(("ground", "first"), first_viscous),
         "elbow_encoder": drag(("first", "second"), second_viscous),
         "second_encoder": drag(("ground", "second")),
-        "gear": sj.Coupler(
+        "gear": sj.forces.Coupler(
             sj.Turn(("first", "rotor"), AXIS),
             sj.Turn(("first", "second"), AXIS),
             ratio=1.0 / gear,
@@ -201,7 +201,7 @@ def study(folder: Path) -> Iterator[Part]:
 
 def fit_swing(measured: sj.Measured, held_out: sj.Measured, friction: Mapping[str, Any]):
     """Friction and moments of inertia from one free swing, and the prediction of another one."""
-    method = sj.LevenbergMarquardt(max_iterations=30)
+    method = sj.studies.LevenbergMarquardt(max_iterations=30)
     start = {**INERTIAS, **friction}
     return fitted(measured.build, start, measured, validate=held_out, noise=NOISE, rtol=1e-6, method=method)
 

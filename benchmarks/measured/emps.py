@@ -87,7 +87,7 @@ def loop(travel, wanted, gain, period, first_sample, of_rate=False):
     """A loop with one gain: in continuous time, or one that samples and holds."""
     if period is None:
         return sj.PID(travel, wanted, proportional=gain, of_rate=of_rate)
-    return sj.SampledPID(travel, period, wanted, proportional=gain, of_rate=of_rate, first_sample=first_sample)
+    return sj.forces.SampledPID(travel, period, wanted, proportional=gain, of_rate=of_rate, first_sample=first_sample)
 
 
 def drive(
@@ -106,7 +106,7 @@ def drive(
     knots, speeds, begin = reference
     travel = sj.Travel(("ground", "carriage"), AXIS)
     stiffness = FORCE * SPEED_GAIN * POSITION_GAIN
-    wanted = sj.Integral(sj.Table(knots, speeds), begin - start, origin=knots[0])
+    wanted = sj.functions.Integral(sj.functions.Table(knots, speeds), begin - start, origin=knots[0])
     carriage = sj.Body(mass, (1.0, 1.0, 1.0), (start, 0.0, 0.0), velocity=(rate, 0.0, 0.0))
     forces = {
         "position_loop": loop(travel, wanted, stiffness, period, first_sample),
@@ -116,10 +116,10 @@ def drive(
     # The gain of a controlled rate of 0 is a viscous resistance.
     ends = "ground", "carriage"
     if by_speed is not None:
-        table = sj.SmoothTable([-x for x in reversed(SPEEDS)] + [0.0, *SPEEDS], _odd(jnp.asarray(by_speed)))
+        table = sj.functions.SmoothTable([-x for x in reversed(SPEEDS)] + [0.0, *SPEEDS], _odd(jnp.asarray(by_speed)))
         forces["friction_by_speed"] = sj.SpringDamper(ends, damper=table, direction=AXIS)
     law = sj.Threlfall(mu=1.0, v1=SPEED)
-    model = sj.Ideal(friction=law, pressure=sj.PreloadAlone(), preload_force=coulomb)
+    model = sj.Ideal(friction=law, pressure=sj.laws.PreloadAlone(), preload_force=coulomb)
     rails = {"rail": sj.Prismatic(ends, (0.0, 0.0, 0.0), AXIS, model)}
     return sj.Scene({"carriage": carriage}, rails, forces, gravity=(0.0, 0.0, 0.0))
 

@@ -203,7 +203,7 @@ def _held_out(name: str, ts, angles, moments) -> dict[str, object]:
     """A model fitted to the first half of the record, and its errors in the second."""
     build, more = MODELS[name]
     half = measured_of(ts, angles, NOISE, until=HALF)
-    method = sj.LevenbergMarquardt(max_iterations=10, tolerance=0.1)
+    method = sj.studies.LevenbergMarquardt(max_iterations=10, tolerance=0.1)
     fit, search = fitted(coarsely(build), {**moments, **more}, half, rtol=1e-7, method=method)
     errors = predicted(coarsely(build)(**fit.estimates), ts, FUNCTIONS, rtol=1e-7) - angles
     begin = {key: _begun_at(value, fit.estimates[key]) for key, value in {**moments, **more}.items()}

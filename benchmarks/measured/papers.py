@@ -55,8 +55,8 @@ def journal(load, length, *, seconds=0.08):
         Eccentricity ratio [-] and attitude angle [rad].
     """
     model = sj.Lubricated(
-        CLEARANCE, VISCOSITY, socket_radius=DIAMETER / 2, normal=sj.Hertz(stiffness=1e9), film=sj.ShortBearing(length),
-        e_h0=FILM_OFFSET, e_h1=FILM_OFFSET,
+        CLEARANCE, VISCOSITY, socket_radius=DIAMETER / 2, normal=sj.Hertz(stiffness=1e9),
+        film=sj.laws.ShortBearing(length), e_h0=FILM_OFFSET, e_h1=FILM_OFFSET,
     )  # fmt: skip
     spin = 2 * np.pi * FREQUENCY
     rotor = sj.Body(0.1, (10.0, 10.0, 10.0), angular_velocity=(0.0, 0.0, spin))
@@ -98,10 +98,10 @@ def loci() -> list[dict[str, object]]:
 
 def walking_hip(mu):
     """Largest friction moment [N m] and mean friction power [W] of a hip in one gait cycle."""
-    model = sj.Ideal(friction=sj.Threlfall(mu=mu, v1=1e-3), radius=HEAD_RADIUS, pressure=sj.PointContact())
+    model = sj.Ideal(friction=sj.Threlfall(mu=mu, v1=1e-3), radius=HEAD_RADIUS, pressure=sj.laws.PointContact())
     free = sj.gallery.hip(model, peak=PEAK * HIP_WEIGHT, swing=0.1 * PEAK * HIP_WEIGHT)
     # The muscles overcome the friction: the flexion is prescribed, so that friction does not shorten the steps.
-    walk = sj.RotationDriver(("ground", "femur"), (0.0, 1.0, 0.0), angle=sj.Sine(FLEXION, 1.0))
+    walk = sj.RotationDriver(("ground", "femur"), (0.0, 1.0, 0.0), angle=sj.functions.Sine(FLEXION, 1.0))
     scene = sj.Scene(
         free.bodies, {**free.joints, "walk": walk}, free.forces, gravity=free.gravity, ground_points=free.ground_points
     )

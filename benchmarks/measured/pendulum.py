@@ -99,7 +99,7 @@ def fit_decays(records: dict[int, Record], friction: dict[str, float]):
             )
         )
     build = build_for(next(iter(records)), tuple(friction))
-    method = sj.LevenbergMarquardt(max_iterations=25)
+    method = sj.studies.LevenbergMarquardt(max_iterations=25)
     return fitted(build, start, experiments, noise=1e-3, method=method)
 
 

@@ -128,7 +128,7 @@ def _joint(model, numbers, start: Start, joint, name: str) -> None:
         model.CreateGenericJoint(**at, rotationMatrixAxes=axes, constrainedAxes=[1, 1, 1, 0, 0, 1])
     elif isinstance(joint, sj.Fixed):
         model.CreateGenericJoint(**at, constrainedAxes=[1] * 6)
-    elif isinstance(joint, sj.Distance):
+    elif isinstance(joint, sj.joints.Distance):
         first, second = (list(np.asarray(place)) for place in placed.points)
         model.CreateDistanceConstraint(itemNumbers=pair, localPosition0=first, localPosition1=second)
     else:
@@ -159,7 +159,7 @@ def _spring(model, numbers, scene: sj.Scene, force, name: str) -> None:
 
 def _bushing(model, pair, joint) -> None:
     law = joint.model.law
-    if not isinstance(law, sj.VectorElastomer):
+    if not isinstance(law, sj.laws.VectorElastomer):
         raise NoCounterpartError(f"{type(law).__name__}: Exudyn's damps in every direction, as VectorElastomer")
     k, b = float(law.stiffness), float(law.damping)
     model.CreateCartesianSpringDamper(

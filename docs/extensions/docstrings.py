@@ -9,9 +9,8 @@ import inspect
 import re
 from collections.abc import Iterator
 
+from public_names import SPACES, place_of, thing_of
 from sphinx.application import Sphinx
-
-import spherejax as sj
 
 TITLES = ("Args:", "Other args:", "Attributes:", "Returns:", "Raises:")
 ENTRY = re.compile(r"^(\*{0,2}[\w, ]+): (.*)$")
@@ -31,13 +30,16 @@ def text(line: str) -> str:
 def code(content: str) -> str:
     """Code, or a link where it is a public name."""
     name = content.removeprefix("spherejax.").removeprefix("sj.").removesuffix("()")
-    owner, _, member = name.partition(".")
+    parts = name.split(".")
+    if parts[0] in SPACES and len(parts) > 1:
+        parts = parts[1:]
+    path = place_of().get(parts[0], "")
     # Escaped spaces let plurals and brackets stand beside.
-    is_public = owner in sj.__all__ and (
-        not member or hasattr(getattr(sj, owner), member)
-    )
-    if is_public and not inspect.ismodule(getattr(sj, owner)):
-        return rf"\ :py:obj:`{content} <spherejax.{name}>`\ "
+    thing = thing_of(path) if path else None
+    is_there = path and (len(parts) == 1 or hasattr(thing, parts[1]))
+    if is_there and not inspect.ismodule(thing):
+        target = ".".join(["spherejax", path, *parts[1:]])
+        return rf"\ :py:obj:`{content} <{target}>`\ "
     return rf"\ ``{content}``\ "
 
 

@@ -155,7 +155,7 @@ def solvers_named(names) -> dict:
     return {one.__name__: STUDIED[one.__name__] if one.__name__ in STUDIED else one() for one in classes}
 
 
-def print_accuracy(result: sj.WorkPrecision) -> None:
+def print_accuracy(result: sj.studies.WorkPrecision) -> None:
     """The table of each model, then what it means."""
     from spherejax.studies.accuracy.page import HEADS
 
@@ -170,7 +170,7 @@ def print_accuracy(result: sj.WorkPrecision) -> None:
             say(text)
 
 
-def _write(result: sj.WorkPrecision, folder: Path) -> list[str]:
+def _write(result: sj.studies.WorkPrecision, folder: Path) -> list[str]:
     """Table, data set and figures; returns their names."""
     from spherejax.output.io import save
 
@@ -190,7 +190,7 @@ def _write(result: sj.WorkPrecision, folder: Path) -> list[str]:
     return names
 
 
-def _write_table(result: sj.WorkPrecision, path: Path) -> None:
+def _write_table(result: sj.studies.WorkPrecision, path: Path) -> None:
     from spherejax.output.tables import write_rows
     from spherejax.studies.accuracy.samples import UNITS
 

@@ -42,14 +42,14 @@ WORDS: Mapping[str, tuple[Parts, ...]] = {
 """Options whose values are words for classes."""
 
 PHRASES = {
-    r"horizon=sj\.GrowingHorizon\(\)": "without --whole",
-    r"method=sj\.LevenbergMarquardt\(max_iterations=\)": "--max-iterations",
+    r"horizon=sj\.studies\.GrowingHorizon\(\)": "without --whole",
+    r"method=sj\.studies\.LevenbergMarquardt\(max_iterations=\)": "--max-iterations",
     r"overwrite=True, --overwrite": "--overwrite",
     r"sj\.load_scene\(path, allow_code=True\), or --allow-code on the command line": "--allow-code",
     r"joint=[^;,]*; on the command line --of": "--of",
     r"sj\.simulate\b(?!\()": "spherejax run",
     r"sj\.monte_carlo": "--method samples",
-    r"sj\.sobol_indices": "--method sobol",
+    r"sj\.studies\.sobol_indices": "--method sobol",
     r"models=sj\.joint_models\([^)]*\), on the command line --length": "--length",
 }
 """Advice with no argument that is an option, or with both."""
@@ -59,14 +59,14 @@ UNDERSCORED = re.compile(r"(?<![\w.\-/'\"])(?P<name>rtol|atol|[a-z]+(?:_[a-z]+)+
 
 _CALL = r"\((?:[^()]|\([^()]*\))*\)"
 _VALUE = rf"""(?:
-    (?:(?:sj|spherejax|diffrax)\.)?[A-Za-z]\w+{_CALL}                               # an object
+    (?:(?:sj|spherejax|diffrax)\.(?:[a-z]+\.)?)?[A-Za-z]\w+{_CALL}                               # an object
     | {_CALL} | \[[^\]]*\] | \{{[^{{}}]*(?:\{{[^{{}}]*\}}[^{{}}]*)*\}}                    # tuple, list, mapping
     | \.\.\. | '[^']*' | "[^"]*" | [-+]?\d[\w.+-]*\w | \d | True | False | None
 )?"""
 _ARGUMENT = rf"(?<![\w.\-/?&])(?<!\w\()(?P<name>[a-z_]+[a-z])=(?![=])(?P<value>{_VALUE})"
-_OBJECT = rf"\b(?:sj|spherejax|diffrax)\.(?P<kind>[A-Z]\w+)(?P<arguments>{_CALL})?"
+_OBJECT = rf"\b(?:sj|spherejax|diffrax)\.(?:[a-z]+\.)?(?P<kind>[A-Z]\w+)(?P<arguments>{_CALL})?"
 PYTHON = re.compile(f"{_ARGUMENT} | {_OBJECT}", re.VERBOSE)
-OBJECT = re.compile(rf"(?:(?:sj|spherejax|diffrax)\.)?(?P<kind>[A-Z]\w+)(?P<arguments>{_CALL})?")
+OBJECT = re.compile(rf"(?:(?:sj|spherejax|diffrax)\.(?:[a-z]+\.)?)?(?P<kind>[A-Z]\w+)(?P<arguments>{_CALL})?")
 LOADERS = re.compile(r"(?:sj\.)?load_(?:urdf|mjcf)\(\.\.\., (?P<arguments>(?:[^()]|\([^()]*\))*)\)")
 
 

@@ -151,7 +151,7 @@ def subject_from(options: argparse.Namespace) -> Subject:
         return subject
     studied: Any = described.joints[joint]
 
-    def build(model: sj.AbstractSphericalModel) -> sj.Scene:
+    def build(model: sj.joints.AbstractSphericalModel) -> sj.Scene:
         scene = mechanism.build(model)
         for text in options.set:
             scene = with_text(scene, text, joint)

@@ -113,7 +113,7 @@ def _require_quantities(scene: sj.Scene, names: list[str]) -> None:
     """Refuse names before anything is computed."""
     from spherejax.motion.equations.quantities import quantity
 
-    system = sj.compile_scene(scene).system
+    system = sj.equations.compile_scene(scene).system
     for name in names:
         if quantity(name, system).dims:
             raise sj.SceneError(f"--plot {name}: it is a vector; name one component, e.g. {name}.z")

@@ -40,7 +40,7 @@ EPILOG = """examples:
 
 FILES = ("estimates.csv", "report.txt", "fit.nc")
 
-LOSSES = {"huber": lambda: sj.Huber(), "cauchy": lambda: sj.Cauchy()}
+LOSSES = {"huber": lambda: sj.studies.Huber(), "cauchy": lambda: sj.studies.Cauchy()}
 """Robust losses by name; made when they are asked for, for importing them takes long."""
 
 
@@ -113,7 +113,7 @@ def fit_scene(options: argparse.Namespace) -> int:
         validate=held_out or None,
         noise=noise_of(options, scene, [*measured, *held_out]),
         loss=LOSSES[options.loss]() if options.loss else None,
-        method=sj.LevenbergMarquardt(max_iterations=options.max_iterations),
+        method=sj.studies.LevenbergMarquardt(max_iterations=options.max_iterations),
         starts=options.starts,
         horizon=Whole() if options.whole else None,
         rtol=options.rtol,
@@ -136,7 +136,7 @@ def fit_scene(options: argparse.Namespace) -> int:
 class _InUnits(NamedTuple):
     """A fit whose page tells the estimates in the units that were given."""
 
-    fitted: sj.Fit
+    fitted: sj.studies.Fit
     shown: dict[str, ShownNumbers]
 
     def report_page(self, title: str, scene: sj.Scene | None) -> Any:
@@ -152,7 +152,7 @@ def _shown(options: argparse.Namespace, unit_of: UnitOf) -> dict[str, ShownNumbe
     return {name: shown_in(texts.split(":"), unit_of(name)) for name, _, texts in given}
 
 
-def _print(fitted: sj.Fit, shown: dict[str, ShownNumbers]) -> None:
+def _print(fitted: sj.studies.Fit, shown: dict[str, ShownNumbers]) -> None:
     from spherejax.studies.fit.report import report
 
     say(report(fitted, shown))
@@ -166,7 +166,9 @@ def _print(fitted: sj.Fit, shown: dict[str, ShownNumbers]) -> None:
         print_table("starts", (*(one.head(name) for name, one in told.items()), "cost", "status"), rows)
 
 
-def _write(fitted: sj.Fit, shown: dict[str, ShownNumbers], folder: Path, title: str, *, pictures: bool) -> list[str]:
+def _write(
+    fitted: sj.studies.Fit, shown: dict[str, ShownNumbers], folder: Path, title: str, *, pictures: bool
+) -> list[str]:
     """Table, report, data set and figures; returns their names."""
     from spherejax.files.paths.drafts import draft_of
     from spherejax.studies.fit.report import report
@@ -182,7 +184,7 @@ def _write(fitted: sj.Fit, shown: dict[str, ShownNumbers], folder: Path, title: 
     return names
 
 
-def _write_estimates(fitted: sj.Fit, shown: dict[str, ShownNumbers], path: Path) -> None:
+def _write_estimates(fitted: sj.studies.Fit, shown: dict[str, ShownNumbers], path: Path) -> None:
     from spherejax.output.tables import write_rows
 
     known = fitted.knowledge

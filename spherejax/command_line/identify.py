@@ -183,7 +183,7 @@ def _candidate(text: CandidateText, options: argparse.Namespace) -> Candidate:
     except sj.SceneError as error:
         raise _of_candidate(text, error) from None
     start = {name: sj.Parameter(numbers[name]) if one is None else one.parameter for name, one in begins.items()}
-    return sj.Candidate(builder_of(found, own), start)
+    return sj.studies.Candidate(builder_of(found, own), start)
 
 
 def _of_candidate(text: CandidateText, error: sj.SceneError) -> sj.SceneError:

@@ -88,7 +88,7 @@ def _deviation(text: str, sigma: str, name: str, scene: sj.Scene) -> float:
     from spherejax.motion.equations.quantities import quantity
 
     try:
-        unit = quantity(name, sj.compile_scene(scene).system).unit
+        unit = quantity(name, sj.equations.compile_scene(scene).system).unit
     except sj.SceneError:
         unit = ""
     return number_of("--noise", text, sigma, unit)

@@ -163,7 +163,7 @@ def _ratio(damping: float | _Coefficient | None, stiffness: float | None) -> flo
     raise sj.SceneError(f'{means}. With the stiffness k = {stiffness:g} N/m it is --damping "{number} s"')
 
 
-def model_from(options: argparse.Namespace) -> sj.AbstractSphericalModel:
+def model_from(options: argparse.Namespace) -> sj.joints.AbstractSphericalModel:
     """The joint model that the options ask for.
 
     Raises:
@@ -185,7 +185,7 @@ def model_from(options: argparse.Namespace) -> sj.AbstractSphericalModel:
         "friction": _friction_from(options),
         "socket_material": material,
         "ball_material": material,
-        "conformity": None if options.length is None else sj.JohnsonCylinder(options.length),
+        "conformity": None if options.length is None else sj.laws.JohnsonCylinder(options.length),
     }
     clearance = _or(options.clearance, 1e-4)
     if options.joint == "lubricated":
@@ -196,8 +196,8 @@ def model_from(options: argparse.Namespace) -> sj.AbstractSphericalModel:
 
 
 def all_models_from(
-    options: argparse.Namespace, like: sj.AbstractSphericalModel | None
-) -> dict[str, sj.AbstractSphericalModel]:
+    options: argparse.Namespace, like: sj.joints.AbstractSphericalModel | None
+) -> dict[str, sj.joints.AbstractSphericalModel]:
     """The five models of a joint with the numbers that the options give; others are those of its own model.
 
     Args:
@@ -256,7 +256,7 @@ def _refuse_unused(options: argparse.Namespace) -> None:
             raise sj.SceneError(f"{flag} means nothing with --joint {options.joint}; it belongs to {', '.join(joints)}")
 
 
-def _film_from(options: argparse.Namespace) -> sj.AbstractFilm | None:
+def _film_from(options: argparse.Namespace) -> sj.laws.AbstractFilm | None:
     name = options.film or ("short" if options.length is not None else None)
     if name is None:
         return None
@@ -267,11 +267,11 @@ def _film_from(options: argparse.Namespace) -> sj.AbstractFilm | None:
     return cast(Any, BEARING_FILMS[name])(options.length) if is_bearing else FILMS[name]()
 
 
-def _normal_from(options: argparse.Namespace) -> sj.AbstractNormalLaw:
+def _normal_from(options: argparse.Namespace) -> sj.laws.AbstractNormalLaw:
     held = options.joint == "lubricated" and options.restitution is None
     name = options.normal or ("hunt-crossley-dissipation" if held else "lankarani-nikravesh")
     law = NORMAL_LAWS[name]
-    if not issubclass(law, sj.AbstractHysteresisLaw):
+    if not issubclass(law, sj.laws.AbstractHysteresisLaw):
         if options.restitution is not None:
             why = "which dissipates nothing" if law is sj.Hertz else "which is damped by its dissipation"
             raise sj.SceneError(f"--restitution means nothing with --normal {name}, {why}")
@@ -279,7 +279,7 @@ def _normal_from(options: argparse.Namespace) -> sj.AbstractNormalLaw:
     return cast(Any, law)(restitution=_or(options.restitution, 0.9))
 
 
-def _friction_from(options: argparse.Namespace) -> sj.AbstractFrictionLaw | None:
+def _friction_from(options: argparse.Namespace) -> sj.laws.AbstractFrictionLaw | None:
     name = options.friction or ("threlfall" if options.joint == "friction" else "none")
     if name == "none":
         if options.joint == "friction":
@@ -292,7 +292,7 @@ def _friction_from(options: argparse.Namespace) -> sj.AbstractFrictionLaw | None
     return friction_law(options, name)
 
 
-def friction_law(options: argparse.Namespace, text: str | None = None) -> sj.AbstractFrictionLaw | None:
+def friction_law(options: argparse.Namespace, text: str | None = None) -> sj.laws.AbstractFrictionLaw | None:
     """The law that `--friction`, `--mu` and `--mu-static` describe.
 
     Raises:

@@ -116,7 +116,7 @@ def _numbers(option: str, scene: sj.Scene, name: str, studied: str | None) -> li
         raise sj.SceneError(f"{option} {error}") from None
 
 
-def _print_slopes(modes: sj.Modes, number: str, unit: str | None) -> None:
+def _print_slopes(modes: sj.studies.Modes, number: str, unit: str | None) -> None:
     """Derivatives of frequency and damping of each mode."""
     found = modes.slopes(number)
     print(f"per {'unit' if unit in (None, '1') else unit} of {number}:")
@@ -125,7 +125,7 @@ def _print_slopes(modes: sj.Modes, number: str, unit: str | None) -> None:
         print(f"{k:4d}  {said}")
 
 
-def _write(linear: sj.Linearization, folder: Path, options: argparse.Namespace) -> None:
+def _write(linear: sj.studies.Linearization, folder: Path, options: argparse.Namespace) -> None:
     from spherejax.output.io import save
     from spherejax.output.paths import make_folder
 

@@ -80,8 +80,8 @@ def put_on_rig(options: argparse.Namespace) -> int:
     asked = "0" if np.ptp(steer) > 0 and options.travel == "-80:80 mm" else options.travel
     travel = _range("--travel", asked, options.points)
     scene = chosen(options).scene(options)  # before what takes long to import: a wrong name is told at once
-    loads = sj.WheelLoads(options.longitudinal, options.lateral, options.aligning, options.driving)
-    found = sj.rig(scene, travel, steer=steer, loads=loads)
+    loads = sj.vehicle.WheelLoads(options.longitudinal, options.lateral, options.aligning, options.driving)
+    found = sj.vehicle.rig(scene, travel, steer=steer, loads=loads)
     say(found)
     if folder is not None:
         from spherejax.output.io import save

@@ -123,7 +123,7 @@ def run_scene(options: argparse.Namespace) -> int:
     spectra = _spectra(options, scene)
     check_report(options)
     peaks = require_quantities(scene, options.peak, units=True)
-    system = sj.compile_scene(scene).system
+    system = sj.equations.compile_scene(scene).system
     joint = found.studied if options.impacts is None else _with_contact(found.studied, system.contact_joints)
     solver = SOLVERS[options.solver]() if options.solver else None
     start = time.perf_counter()
@@ -160,9 +160,9 @@ def run_scene(options: argparse.Namespace) -> int:
     return 0
 
 
-def with_defaults(options: argparse.Namespace, settings: sj.SimulationSettings) -> argparse.Namespace:
+def with_defaults(options: argparse.Namespace, settings: sj.files.SimulationSettings) -> argparse.Namespace:
     """What the options leave open, as the scene's file says, or as the help does."""
-    said = {name: getattr(options, name) for name in sj.SimulationSettings._fields}
+    said = {name: getattr(options, name) for name in sj.files.SimulationSettings._fields}
     if said["samples"] is not None or said["dt"] is not None:
         settings = settings._replace(samples=None, dt=None)
     last = {"t1": 2.0, "rtol": 1e-8, "max_steps": 20_000_000}
@@ -193,7 +193,7 @@ def accuracy_from(texts: list[str] | None) -> dict[str, str | float] | None:
     return found or None
 
 
-def _needs_work(accuracy: str | float | Mapping[str, str | float] | None, system: sj.System) -> bool:
+def _needs_work(accuracy: str | float | Mapping[str, str | float] | None, system: sj.equations.System) -> bool:
     """Whether the accuracy of a work is asked for, which only a run that integrates it has."""
     from spherejax.motion.equations.quantities import quantity
 

@@ -88,7 +88,7 @@ def require_quantities(scene: sj.Scene, texts: Iterable[str], *, units: bool = F
 
     found = [wanted(text) if units else WantedQuantity(text) for text in texts]
     named = [one for one in found if one.name.partition(".")[0] not in ("onsets", "time_in_contact")]
-    system = sj.compile_scene(scene).system if named else None
+    system = sj.equations.compile_scene(scene).system if named else None
     for one in named:
         words = one.name.split(" ")
         while len(words) > 1 and words[0] in ("sensitivity", "final", "peak"):

@@ -40,9 +40,9 @@ class Chosen(NamedTuple):
 
     name: str
     title: str
-    build: Callable[[sj.AbstractSphericalModel | None], sj.Scene]
+    build: Callable[[sj.joints.AbstractSphericalModel | None], sj.Scene]
     studied: str | None
-    settings: sj.SimulationSettings
+    settings: sj.files.SimulationSettings
 
     def scene(self, options: argparse.Namespace) -> sj.Scene:
         """The scene with the model and the numbers that the options ask for."""
@@ -140,7 +140,7 @@ def _from_gallery(name: str) -> Chosen:
     build = SCENES[name]
     takes_model = _takes_model(build)
 
-    def with_model(model: sj.AbstractSphericalModel | None) -> sj.Scene:
+    def with_model(model: sj.joints.AbstractSphericalModel | None) -> sj.Scene:
         if model is not None and not takes_model:
             raise sj.SceneError(
                 f"{name} has no studied joint; add --of NAME to say which joint --joint is the model of"
@@ -148,18 +148,18 @@ def _from_gallery(name: str) -> Chosen:
         return build(model) if takes_model else build()
 
     usual = USUAL.get(name, Usual())
-    settings = sj.SimulationSettings(t1=usual.t1, samples=usual.samples)
+    settings = sj.files.SimulationSettings(t1=usual.t1, samples=usual.samples)
     return Chosen(name, "", with_model, studied_in(build), settings)
 
 
 def _from_file(path: Path, options: argparse.Namespace) -> Chosen:
     file = (
-        sj.SceneFile(robot_of(path, options))
+        sj.files.SceneFile(robot_of(path, options))
         if path.suffix in LOADERS
-        else sj.read_scene_file(path, allow_code=options.allow_code)
+        else sj.files.read_scene_file(path, allow_code=options.allow_code)
     )
 
-    def without_model(model: sj.AbstractSphericalModel | None) -> sj.Scene:
+    def without_model(model: sj.joints.AbstractSphericalModel | None) -> sj.Scene:
         if model is not None:
             known = one_of(_joints_with_model(file.scene), "")
             raise sj.SceneError(
@@ -174,7 +174,7 @@ def _from_file(path: Path, options: argparse.Namespace) -> Chosen:
 def studying(found: Chosen, joint: str) -> Chosen:
     """The same mechanism with another studied joint."""
 
-    def with_model(model: sj.AbstractSphericalModel | None) -> sj.Scene:
+    def with_model(model: sj.joints.AbstractSphericalModel | None) -> sj.Scene:
         scene = found.build(None)
         if joint not in scene.joints:
             raise sj.SceneError(f"--of {joint}: there is no such joint; {one_of(scene.joints, joint)}")
@@ -186,7 +186,7 @@ def studying(found: Chosen, joint: str) -> Chosen:
     return found._replace(build=with_model, studied=joint)
 
 
-def with_joint_model(scene: sj.Scene, joint: str, model: sj.AbstractSphericalModel) -> sj.Scene:
+def with_joint_model(scene: sj.Scene, joint: str, model: sj.joints.AbstractSphericalModel) -> sj.Scene:
     """The scene with another model of one joint."""
     from spherejax.files.fields.objects import arguments_of
 

@@ -156,7 +156,7 @@ def _value(found: Chosen, options: argparse.Namespace, build: Callable, names, k
     raise sj.SceneError(f"--by {name}: the scene does not show its value; write --by {name}=VALUE")
 
 
-def _write(result: sj.Sensitivities, folder: Path, overwrite: bool) -> None:
+def _write(result: sj.studies.Sensitivities, folder: Path, overwrite: bool) -> None:
     from spherejax.output.paths import file_name
 
     written = [result.save(folder / name, overwrite=overwrite) for name in FILES]

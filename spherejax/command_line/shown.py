@@ -85,7 +85,9 @@ def in_units(dataset: xarray.Dataset, shown: Mapping[str, ShownNumbers]) -> xarr
     return dataset.assign_coords({key: one.of(dataset[key]) for key, one in shown.items()})
 
 
-def sensitivities_in_units(found: sj.Sensitivities, asked: Sequence[WantedQuantity]) -> sj.Sensitivities:
+def sensitivities_in_units(
+    found: sj.studies.Sensitivities, asked: Sequence[WantedQuantity]
+) -> sj.studies.Sensitivities:
     """Derivatives with what is observed in the units in which it was asked for."""
     units = {one.name: one for one in asked}
     shown = [(column, units[column.name].shown(column.unit)) for column in found.columns]

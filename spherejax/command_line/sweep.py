@@ -134,7 +134,7 @@ def sweep_scene(options: argparse.Namespace) -> int:
     asked = asked_of(options, unit_of)  # a unit of another dimension is refused
     grid = asked.grid(options)
 
-    def runs_of(grid: sj.Grid, rtol: float, **where: Any):
+    def runs_of(grid: sj.studies.Grid, rtol: float, **where: Any):
         return sj.sweep(
             build,
             grid,
@@ -195,11 +195,11 @@ class AskedGrid(NamedTuple):
         middles = {key: float(np.mean(ends)) for key, ends in self.ranges.items()}
         return {**{key: float(values[0]) for key, values in self.values.items()}, **middles}
 
-    def grid(self, options: argparse.Namespace) -> sj.Grid:
+    def grid(self, options: argparse.Namespace) -> sj.studies.Grid:
         """All runs."""
         if options.draws is None:
-            return sj.product(self.values)
-        return sj.sobol_samples(self.ranges, options.draws, rng=options.seed, logarithmic=self.logarithmic)
+            return sj.studies.product(self.values)
+        return sj.studies.sobol_samples(self.ranges, options.draws, rng=options.seed, logarithmic=self.logarithmic)
 
 
 def asked_of(options: argparse.Namespace, unit_of: UnitOf = unit_of_option) -> AskedGrid:
@@ -276,7 +276,7 @@ def _recorded(found: Chosen, options: argparse.Namespace, scene: sj.Scene) -> li
     """What is kept, judged by the scene of the first run; if no such mechanism can be, the sweep judges the others."""
     texts = options.record or _default_record(found, scene)
     try:
-        sj.compile_scene(scene)
+        sj.equations.compile_scene(scene)
     except sj.SceneError:
         return [wanted(text) for text in texts]
     return require_quantities(scene, texts, units=True)
@@ -285,7 +285,7 @@ def _recorded(found: Chosen, options: argparse.Namespace, scene: sj.Scene) -> li
 def _default_record(found: Chosen, scene: sj.Scene) -> list[str]:
     joint = found.studied or next(iter(scene.joints), None)
     ends = [f"final position.{body}" for body in list(scene.bodies)[-1:]]
-    contact = sj.compile_scene(scene).system.contact_joints
+    contact = sj.equations.compile_scene(scene).system.contact_joints
     events = [f"{kind}.{name}" for name in contact for kind in ("onsets", "time_in_contact")]
     return [*([f"peak reaction.{joint}"] if joint else []), *ends, *events]
 

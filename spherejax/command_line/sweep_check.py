@@ -75,9 +75,9 @@ def print_check(
     swept: xarray.Dataset,
     names: Sequence[str],
     n: int,
-    grid: sj.Grid,
+    grid: sj.studies.Grid,
     rtol: float,
-    sweep_again: Callable[[sj.Grid, float], xarray.Dataset],
+    sweep_again: Callable[[sj.studies.Grid, float], xarray.Dataset],
 ) -> None:
     """Make `n` runs once more at a tenth of the tolerance, and print what that changes.
 
@@ -91,7 +91,7 @@ def print_check(
     """
     runs = check_runs(n, grid.n_runs)
     rows: list[Mapping[str, float]] = [grid.row(run) for run in runs]
-    again = sweep_again(sj.zipped({name: [row[name] for row in rows] for name in grid.names}), TIGHTER * rtol)
+    again = sweep_again(sj.studies.zipped({name: [row[name] for row in rows] for name in grid.names}), TIGHTER * rtol)
     of_values = changes(swept, again, runs, names)
     steps = np.asarray(swept["n_steps"]).ravel()[runs].sum(), np.asarray(again["n_steps"]).sum()
     print_table(

@@ -137,7 +137,7 @@ def find_tolerances(options: argparse.Namespace) -> int:
         return made
 
     result = _in_units(_study(options, build, spreads, [*dict.fromkeys(one.name for one in asked)]), asked)
-    say(result.told(_shown(options, numbers, scene)) if isinstance(result, sj.ToleranceBudget) else result)
+    say(result.told(_shown(options, numbers, scene)) if isinstance(result, sj.studies.ToleranceBudget) else result)
     if folder is not None:
         _write(result, folder, options.overwrite)
     return 0
@@ -147,9 +147,9 @@ def _study(options: argparse.Namespace, build: Any, spreads: dict[str, Any], obs
     ts = np.linspace(0.0, options.t1, number_of_samples(options.samples))
     how = {"rtol": options.rtol, "solver": SOLVERS[options.solver]() if options.solver else None}
     if options.method == "budget":
-        return sj.tolerance_budget(build, spreads, ts, observables=observables, **how)
+        return sj.studies.tolerance_budget(build, spreads, ts, observables=observables, **how)
     n = RUNS[options.method] if options.runs is None else options.runs
-    study = sj.sobol_indices if options.method == "sobol" else sj.monte_carlo
+    study = sj.studies.sobol_indices if options.method == "sobol" else sj.monte_carlo
     return study(build, spreads, ts, record=observables, n=n, rng=options.seed, **how)
 
 
@@ -159,7 +159,7 @@ def _in_units(result: Any, asked: Sequence[WantedQuantity]) -> Any:
     from spherejax.studies.uncertainty.outputs import outputs_of
 
     units = {one.name: one for one in asked}
-    if isinstance(result, sj.ToleranceBudget):
+    if isinstance(result, sj.studies.ToleranceBudget):
         found = sensitivities_in_units(result.sensitivities, asked)
         parts = []
         for part, column in zip(result.parts, found.columns, strict=True):
@@ -170,7 +170,7 @@ def _in_units(result: Any, asked: Sequence[WantedQuantity]) -> Any:
     runs = result.runs
     named = zip([name for name in runs.data_vars if name not in TAKEN], units.values(), strict=True)
     told = {name: one.shown(runs[name].attrs.get("units", "")).of(runs[name]) for name, one in named}
-    if isinstance(result, sj.SobolIndices):  # shares have no unit: it has only been judged
+    if isinstance(result, sj.studies.SobolIndices):  # shares have no unit: it has only been judged
         return result
     runs = runs.assign(told)
     return replace(result, runs=runs, outputs=tuple(outputs_of(runs)))
@@ -195,7 +195,7 @@ def _numbers(options: argparse.Namespace, found: Chosen, scene: sj.Scene) -> dic
 
 def _spreads(
     options: argparse.Namespace, numbers: dict[str, Number], scene: sj.Scene
-) -> dict[str, sj.Tolerance | tuple[float, float]]:
+) -> dict[str, sj.studies.Tolerance | tuple[float, float]]:
     """How they scatter."""
     from spherejax.files.fields.number_units import unit_at
 
@@ -222,7 +222,9 @@ def _shown(options: argparse.Namespace, numbers: dict[str, Number], scene: sj.Sc
     }
 
 
-def _spread(text: str, given: str, own: float, unit: str | None, uniform: bool) -> sj.Tolerance | tuple[float, float]:
+def _spread(
+    text: str, given: str, own: float, unit: str | None, uniform: bool
+) -> sj.studies.Tolerance | tuple[float, float]:
     """What one text says of a number whose value in the scene is `own`."""
     if "+-" not in given:
         low, _, high = given.partition(":")
@@ -234,7 +236,7 @@ def _spread(text: str, given: str, own: float, unit: str | None, uniform: bool) 
     else:
         half = _number(text, width, unit)
     try:
-        return sj.Tolerance(nominal, half, "uniform" if uniform else "normal")
+        return sj.studies.Tolerance(nominal, half, "uniform" if uniform else "normal")
     except sj.SceneError as error:
         raise sj.SceneError(f"--tolerance {text}: {error}") from None
 

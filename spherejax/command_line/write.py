@@ -47,7 +47,7 @@ def write_scene(options: argparse.Namespace) -> int:
     settings = (
         found.settings
         if any(value is not None for value in found.settings)
-        else sj.SimulationSettings(**GALLERY_SETTINGS)
+        else sj.files.SimulationSettings(**GALLERY_SETTINGS)
     )
     path = sj.save_scene(
         found.scene(options),

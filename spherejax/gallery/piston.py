@@ -28,8 +28,8 @@ def piston(
     """A crank that a motor turns steadily, a rod, and a piston that slides along x; its pin may have clearance.
 
     The studied joint is `"pin"`, revolute, between rod and piston: ideal, a bushing, or a journal in a bearing with
-    clearance, e.g. `Dry(5e-4, conformity=sj.JohnsonCylinder(0.02))`. The motion begins with crank and rod in line, the
-    piston at its outer dead center, with the velocities of the ideal mechanism. Other joints `"crank_pivot"`,
+    clearance, e.g. `Dry(5e-4, conformity=sj.laws.JohnsonCylinder(0.02))`. The motion begins with crank and rod in line,
+    the piston at its outer dead center, with the velocities of the ideal mechanism. Other joints `"crank_pivot"`,
     `"crank_rod"`, `"guide"`, and the driver `"motor"`; bodies `"crank"`, `"rod"`, `"piston"`. Gravity along -z.
 
     Args:

@@ -85,7 +85,7 @@ def double_wishbone(
 ) -> Scene:
     """A left front double wishbone: two arms, an upright with the wheel, a tie rod on a rack, a spring.
 
-        sj.rig(sj.gallery.double_wishbone({"upper_ball": (-0.025, 0.640, 0.515)}), travel=...)
+        sj.vehicle.rig(sj.gallery.double_wishbone({"upper_ball": (-0.025, 0.640, 0.515)}), travel=...)
 
     Bodies `lower_arm`, `upper_arm`, `upright`, `rack`; joints `lower_ball`, `upper_ball`, `tie_rod`, `rack_slide`,
     the driver `steering`, and at the chassis `lower_arm` and `upper_arm`, or with bushes `lower_arm_front`,
@@ -95,7 +95,7 @@ def double_wishbone(
         hardpoints: places that differ from the drawn ones, by name, world axes [m], each of shape (3,).
         ball_joint: model of the lower and the upper ball joint, whose socket is on the arm; ideal by default.
         bushes: model of the bushes at the chassis, two for each arm, in axes with z along the arm's axis, e.g.
-            `sj.Bushing(law=sj.MatrixElastomer.cylindrical((0, 0, 1), ...))`; None: each arm turns on one hinge.
+            `sj.Bushing(law=sj.laws.MatrixElastomer.cylindrical((0, 0, 1), ...))`; None: each arm turns on one hinge.
         tie_rod_joint: model of the outer joint of the tie rod, which is a body of its own then; None: the tie rod is
             a massless link.
         static_toe: toe angle at the design position [rad], positive toe-in.

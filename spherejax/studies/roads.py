@@ -16,7 +16,7 @@ COLUMNS = ("x", "z")
 
 
 def load_road(path: str | os.PathLike, *, spacing: float | None = None) -> SmoothTable:
-    """A measured profile as a road: cubics through its points, for `sj.Tyre(road=...)`.
+    """A measured profile as a road: cubics through its points, for `sj.forces.Tyre(road=...)`.
 
         x [m], z [mm]
         0.00, 0.0

@@ -100,8 +100,9 @@ def load_urdf(
         friction: law by which a joint's friction, a torque F [N m] or force [N], changes with its rate: F mu(v)/mu_k,
             with v in rad/s of joints that turn and in m/s of those that slide. `sj.Threlfall(mu=1.0, v1=1e-2)` is F
             tanh(rate/0.01); `sj.LuGre(...)` sticks.
-        mimic: how stiff a joint is coupled to the one it mimics, with arguments of `sj.Coupler` for joints that turn
-            and for those that slide: `{"turning": {"stiffness": 50.0, "damping": 0.1}, "sliding": {...}}`, [N m/rad],
+        mimic: how stiff a joint is coupled to the one it mimics, with arguments of `sj.forces.Coupler` for joints that
+            turn and for those that slide: `{"turning": {"stiffness": 50.0, "damping": 0.1}, "sliding": {...}}`, [N
+                m/rad],
             [N m s/rad] or [N/m], [N s/m]; a joint's own name stands before both. The coupler has the joint's name with
             _mimic.
         stops: how stiff joints are beyond their limits: `{"turning": 500.0, "sliding": 1e5}` [N m/rad, N/m]; a joint's

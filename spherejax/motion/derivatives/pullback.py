@@ -75,7 +75,7 @@ UNSURE_THROUGH_KINKS = (
     "derivatives in reverse are not sure through {names}: where it begins to press, its stiffness may be there at "
     "once, and the errors of derivatives are controlled along one mixture of all parameters. Of a ball that bounced "
     "three times between stops of 1e8 N/m they were wrong by 7e-4. Forward sensitivities are right there: "
-    "mode='forward' of sj.sensitivity, and sj.fit without sj.Descent"
+    "mode='forward' of sj.sensitivity, and sj.fit without sj.studies.Descent"
 )
 
 N_STRETCHES = 4096

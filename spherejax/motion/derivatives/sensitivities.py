@@ -267,7 +267,7 @@ def through_kinks(plan: Plan, method: str) -> str:
     return (
         f"derivatives by {method} are not right through {names_of_kinks(plan)}: where it begins to press, its "
         "stiffness may be there at once, and a step with stages on both sides gives derivatives that are wrong by any "
-        "amount, or not finite. Leave solver= and adjoint= out, or take solver=spherejax.Rodas5P()"
+        "amount, or not finite. Leave solver= and adjoint= out, or take solver=spherejax.solvers.Rodas5P()"
     )
 
 

@@ -106,8 +106,8 @@ FINDINGS = {
     "joint for elastic torsion",
     "turns": "how often an angle about an axis has gone round is in doubt: tighten rtol",
     "conformity": "surfaces were pressed in beyond the range of their elastic law (that of Eq. 24 ends at a tenth of "
-    "the clearance): give a ball conformity=sj.SphericalProfile() or sj.WinklerLiner(...), a journal "
-    "sj.EsduCylinder(...), or the normal law a stiffness of its own",
+    "the clearance): give a ball conformity=sj.laws.SphericalProfile() or sj.laws.WinklerLiner(...), a journal "
+    "sj.laws.EsduCylinder(...), or the normal law a stiffness of its own",
     "tilt": "a journal tilted in a rim of its bearing until its circle was an oval there, by more than a tenth of the "
     "clearance: give the bearing its other rim, or a ball in a socket to what turns freely",
     "film": "the offset e_h1 of a film is more than a twentieth of the clearance: the film acts as if it were thicker "

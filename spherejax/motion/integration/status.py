@@ -51,7 +51,7 @@ class Status(enum.IntEnum):
 REMEDIES = {
     Status.TOO_MANY_STEPS: (
         "the number of steps reached max_steps. Raise max_steps, loosen rtol, or, when the steps are tiny, choose a "
-        "stiff solver (solver=spherejax.Rodas5P())"
+        "stiff solver (solver=spherejax.solvers.Rodas5P())"
     ),
     Status.STEP_TOO_SMALL: (
         "the step size shrank to the rounding of time: the accelerations are not finite or grow without bound there. "
@@ -68,7 +68,8 @@ REMEDIES = {
     ),
     Status.AUDIT_FAILED: (
         "the audit found a violated invariant (`run.audit` says which); the motion is wrong there, and may be from "
-        "shortly before. Tighten rtol, choose another solver or drift control (sj.PostStabilization() where the "
+        "shortly before. Tighten rtol, choose another solver or drift control "
+        "(sj.solvers.PostStabilization() where the "
         "mechanism passes singular positions), and check the laws and forces of your own"
     ),
     Status.INACCURATE: (

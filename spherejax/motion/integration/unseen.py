@@ -5,7 +5,7 @@ push of 1 N s within 1e-4 s left a ball at rest. So the function is looked at be
 instants of the whole motion, and compared with a polynomial through the stages. Where it is farther from that than the
 stages are themselves, the step is made again, up to the last instant at which the two agree, but no shorter than the
 distance of two instants: such a step sees the pulse by its stages, and its error judges it. What is shorter can be
-missed; `sj.Piecewise` says where to look.
+missed; `sj.functions.Piecewise` says where to look.
 
 With that a step accepts what its own error has seen: stages that scatter about the polynomial (noise, a kink) allow the
 same between them. Only scenes with such functions have this; functions of the package know where they turn (`room`).

@@ -150,7 +150,7 @@ class Trajectory(eqx.Module, Reported):
                 f"{there}configuration, which a driver cannot pass where the mechanism reaches no further. Check the "
                 "reach of what is driven, or start or drive it otherwise."
             )
-        remedy = "" if self.system.drift.n_corrections else "give the scene drift=sj.PostStabilization(), or "
+        remedy = "" if self.system.drift.n_corrections else "give the scene drift=sj.solvers.PostStabilization(), or "
         return (
             f"{there}configuration, from which the mechanism can go on in more than one way. To pass it, {remedy}"
             "change a length by little, so that it is passed at a distance."

@@ -202,7 +202,7 @@ def check_parameters(by: tuple[str, ...], parameters: Any, derivative_rtol: floa
     if not by and derivative_rtol is not None:
         raise SceneError(
             f"derivative_rtol = {derivative_rtol:.3g} is for sensitivities, and none is recorded; record "
-            'sj.Sensitivity(...) or "sensitivity final position.BODY", or leave it out'
+            'sj.studies.Sensitivity(...) or "sensitivity final position.BODY", or leave it out'
         )
     names = list(parameters) if isinstance(parameters, dict) else []
     for name in by:

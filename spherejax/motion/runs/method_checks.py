@@ -32,7 +32,7 @@ def check_solver(solver: Any, is_judged: bool) -> None:
         raise SceneError(
             f"solver = {name}() integrates sums of terms that it treats apart (noise beside drift, an implicit part "
             "beside an explicit one); the equations of a mechanism are one term. Take an explicit method "
-            "(diffrax.Dopri8()), a Rosenbrock method (sj.Rodas5P()), or an implicit one of one term "
+            "(diffrax.Dopri8()), a Rosenbrock method (sj.solvers.Rodas5P()), or an implicit one of one term "
             "(diffrax.Kvaerno5())"
         )
     if is_judged and not isinstance(solver, diffrax.AbstractAdaptiveSolver):

@@ -94,9 +94,9 @@ class EquationsOfMotion(eqx.Module):
         [M D^T; D 0] {a; lambda} = {g; gamma - feedback}
 
     All methods with the arguments `(t, y, args)` are pure functions: time [s], flat state (that of `run.ys`), and the
-    numbers of the scene, a pytree (`sj.System`) as `sj.ode` returns it. They work under `jit`, `vmap`, `jvp` and
-    `grad`, which differentiates by all three arguments. Each is a scalar program, compiled when it is first called. The
-    object itself is static: it has no leaves, and may be closed over.
+    numbers of the scene, a pytree (`sj.equations.System`) as `sj.ode` returns it. They work under `jit`, `vmap`, `jvp`
+    and `grad`, which differentiates by all three arguments. Each is a scalar program, compiled when it is first called.
+    The object itself is static: it has no leaves, and may be closed over.
 
     Vectors of bodies have 6 entries for each body in the order of `bodies` (three of translation, three of rotation,
     world axes); vectors of constraint equations one for each equation, see `constraint_rows`.
@@ -178,7 +178,7 @@ class EquationsOfMotion(eqx.Module):
         if system.drift.n_corrections:
             said.append(
                 "nothing holds constraints and norms of quaternions: they drift by the errors of the steps. `project` "
-                "corrects a state; drift=sj.Baumgarte() of a scene puts feedback into `f`"
+                "corrects a state; drift=sj.solvers.Baumgarte() of a scene puts feedback into `f`"
             )
         if program_for(state_rate, self.structure, self.scalar).reads_time:
             said.append("f depends on time by itself: limit the steps (`dtmax`), or a step passes over a pulse")
@@ -278,7 +278,7 @@ class EquationsOfMotion(eqx.Module):
         return _evaluated(terms.constraint_bias, self, t, y, args)
 
     def constraint_feedback(self, t: Number, y: Float[Array, " size"], args: System) -> Float[Array, " n"]:
-        """2 alpha Phi_dot + beta^2 Phi of `sj.Baumgarte` [m/s^2 or 1/s^2]; zero for other drift controls."""
+        """2 alpha Phi_dot + beta^2 Phi of `sj.solvers.Baumgarte` [m/s^2 or 1/s^2]; zero for other drift controls."""
         return _evaluated(terms.constraint_feedback, self, t, y, args)
 
     def accelerations(self, t: Number, y: Float[Array, " size"], args: System) -> Float[Array, " k"]:

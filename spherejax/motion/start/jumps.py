@@ -96,7 +96,7 @@ def _known_all_along(name: str, domain: tuple, ts: Numeric) -> list:
         raise SceneError(
             f"driver {name!r}: its function of time is known from {float(low):.6g} s to {float(high):.6g} s, and the "
             f"run goes from {float(first):.6g} s to {float(last):.6g} s; give the integral of its rate an "
-            f"origin and an end that enclose the run, e.g. sj.Integral(rate, start, until={float(last):.6g})"
+            f"origin and an end that enclose the run, e.g. sj.functions.Integral(rate, start, until={float(last):.6g})"
         )
     return []
 
@@ -122,16 +122,19 @@ def _refuse(name: str, jumps: Jumps, says_where: bool) -> None:
         raise SceneError(
             f"driver {name!r}: its function of time jumps at t = {float(jumps.at):.9g} s from {before:.6g} to "
             f"{after:.6g} (m or rad), or changes there at a rate that is not finite, as a square root does at zero. No "
-            "force moves a body so: let it change over a finite time, e.g. sj.SmoothStep(start, end, before, after)"
+            "force moves a body so: let it change over a finite time, e.g. "
+            "sj.functions.SmoothStep(start, end, before, after)"
         )
     if bool(jumps.is_kink) and not says_where:
         before, after = np.asarray(jumps.rates)
         raise SceneError(
             f"driver {name!r}: the rate of its function of time jumps at t = {float(jumps.rates_at):.9g} s from "
             f"{before:.6g} to {after:.6g} (m/s or rad/s), an impact of the driver, and no step ends there. Say where "
-            f"it is: sj.Piecewise([{float(jumps.rates_at):.9g}], [f, g]) with a function f before and g after that "
-            "instant (two functions: one that has the kink itself has no rate there), or sj.Table(t, values); or give "
-            "a smooth function, e.g. sj.SmoothStep"
+            f"it is: sj.functions.Piecewise([{float(jumps.rates_at):.9g}], [f, g]) with a function f before "
+            f"and g after that "
+            "instant (two functions: one that has the kink itself has no rate there), or "
+            "sj.functions.Table(t, values); or give "
+            "a smooth function, e.g. sj.functions.SmoothStep"
         )
 
 

@@ -90,7 +90,7 @@ def continuation(branch: Any, name: str | None = None, title: str = "") -> Figur
     """A branch of cycles over its number: lines where it is stable, dashes where not, marks where that changes.
 
     Args:
-        branch: what `sj.continuation` returns.
+        branch: what `sj.studies.continuation` returns.
         name: one of its outputs, whose first harmonic and extremes are drawn; the period, and the largest multiplier,
             without.
         title: what is shown.
@@ -99,7 +99,9 @@ def continuation(branch: Any, name: str | None = None, title: str = "") -> Figur
         SceneError: for something that is no branch, has no points, or did not keep the quantity.
     """
     if not hasattr(branch, "events") or not hasattr(branch, "points"):
-        raise SceneError(f"continuation: {type(branch).__name__} is no branch; give what sj.continuation returns")
+        raise SceneError(
+            f"continuation: {type(branch).__name__} is no branch; give what sj.studies.continuation returns"
+        )
     if not branch.points:
         raise SceneError(f"continuation: the branch has no cycles to draw: {branch.diagnosis}")
     if name is None and branch.outputs:
@@ -171,7 +173,7 @@ def swept_sine(found: Any, output: str | None = None, title: str = "") -> Figure
     """Magnitude, phase and distortion over frequency: points of the mechanism itself, a line of its linear neighbor.
 
     Args:
-        found: what `sj.swept_sine` returns.
+        found: what `sj.studies.swept_sine` returns.
         output: one of its outputs; the first when None.
         title: what is shown.
 
@@ -179,7 +181,9 @@ def swept_sine(found: Any, output: str | None = None, title: str = "") -> Figure
         SceneError: for something else, or an output that it does not have.
     """
     if not hasattr(found, "distortion") or not hasattr(found, "linear"):
-        raise SceneError(f"swept_sine: {type(found).__name__} is no swept sine; give what sj.swept_sine returns")
+        raise SceneError(
+            f"swept_sine: {type(found).__name__} is no swept sine; give what sj.studies.swept_sine returns"
+        )
     output = found.outputs[0] if output is None else output
     if output not in found.outputs:
         raise SceneError(f"swept_sine: there is no output {output!r}; there are {', '.join(map(repr, found.outputs))}")

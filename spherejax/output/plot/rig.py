@@ -50,7 +50,7 @@ def rig(
         sj.plot.rig({"ideal": ideal.to_xarray(), "rubber": rubber.to_xarray()}, ["toe", "camber"])
 
     Args:
-        rigs: what `sj.rig(...).to_xarray()` gives, or several by what the legend says.
+        rigs: what `sj.vehicle.rig(...).to_xarray()` gives, or several by what the legend says.
         show: names of characteristics; those that no rig has are left out.
         title: what is shown.
 
@@ -60,7 +60,7 @@ def rig(
     given: Any = rigs
     named: Mapping[str, Any] = given if isinstance(given, Mapping) and "toe" not in given else {"": given}
     if not named or not all("toe" in getattr(one, "data_vars", ()) for one in named.values()):
-        raise SceneError('sj.plot.rig draws what sj.rig(...).to_xarray() gives, or several: {"rubber": ...}')
+        raise SceneError('sj.plot.rig draws what sj.vehicle.rig(...).to_xarray() gives, or several: {"rubber": ...}')
     first = next(iter(named.values()))
     known = {str(name) for one in named.values() for name in one.data_vars if one[name].ndim == 1} - {"status"}
     wrong = next((name for name in show if name not in known | set(PANELS)), None)

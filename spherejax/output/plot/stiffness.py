@@ -27,7 +27,7 @@ def dynamic_stiffness(tables: "Mapping[str, xarray.Dataset]", title: str = "Dyna
     """Dynamic stiffness and loss angle over frequency: a colour for each model, a dash for each amplitude.
 
     Args:
-        tables: `sj.dynamic_stiffness(...).to_xarray()`, by what the legend says.
+        tables: `sj.studies.dynamic_stiffness(...).to_xarray()`, by what the legend says.
         title: what is shown.
 
     Raises:

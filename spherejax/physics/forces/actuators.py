@@ -96,7 +96,7 @@ class Actuator(AbstractMotor):
 
     positive where it makes the coordinate grow.
 
-        sj.Actuator(sj.Turn(("ground", "rotor"), axis=(0, 0, 1)), effort=sj.SmoothStep(0.0, 0.1, 0.0, 2.0))
+        sj.Actuator(sj.Turn(("ground", "rotor"), axis=(0, 0, 1)), effort=sj.functions.SmoothStep(0.0, 0.1, 0.0, 2.0))
 
     Attributes:
         coordinate: a `Turn`, a `Travel` or an `Extension`.
@@ -105,7 +105,7 @@ class Actuator(AbstractMotor):
         offset: a number that is added [N or N m]; an input for `sj.linearize` about a motion that the function drives.
 
     Limits: a pulse of a function of one's own that is shorter than 1/20,000 of the motion can be passed over; declare
-    it by the breaks of a `Piecewise`, where steps end: `sj.Piecewise([0.4, 0.40001], [f, f, f])`.
+    it by the breaks of a `Piecewise`, where steps end: `sj.functions.Piecewise([0.4, 0.40001], [f, f, f])`.
     """
 
     coordinate: AbstractCoordinate
@@ -159,7 +159,7 @@ class SampledActuator(AbstractMotor, AbstractForceWithMemory):
     Steps of the integration end on the samples, and what happens at one is not felt before it. Their number does not
     slow down a step's evaluations, as points of a `Table` do.
 
-        sj.SampledActuator(sj.Travel(("ground", "table"), (1, 0, 0)), times=t, values=measured)
+        sj.forces.SampledActuator(sj.Travel(("ground", "table"), (1, 0, 0)), times=t, values=measured)
 
     Attributes:
         coordinate: a `Turn`, a `Travel` or an `Extension`.

@@ -31,7 +31,7 @@ class AppliedWrench(AbstractForce):
     A function takes the motions if it has two arguments without default.
 
     Limits: a pulse of a function of one's own that is shorter than 1/20,000 of the motion can be passed over; declare
-    it by the breaks of a `Piecewise`, where steps end: `sj.Piecewise([0.4, 0.40001], [f, f, f])`.
+    it by the breaks of a `Piecewise`, where steps end: `sj.functions.Piecewise([0.4, 0.40001], [f, f, f])`.
     """
 
     body: str = eqx.field(static=True)

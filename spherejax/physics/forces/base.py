@@ -75,7 +75,7 @@ class Touch(NamedTuple):
 class AbstractForce(eqx.Module):
     """A force element. One of your own is `wrenches` in `jnp`, and `potential_energy` if it has one:
 
-        class Attraction(sj.AbstractForce):
+        class Attraction(sj.forces.AbstractForce):
             strength: float  # N m
 
             @property
@@ -84,7 +84,7 @@ class AbstractForce(eqx.Module):
 
             def wrenches(self, t, motions):
                 r = motions["ball"].position
-                return {"ball": sj.Wrench(-self.strength * r / (0.01 + r @ r), jnp.zeros(3))}
+                return {"ball": sj.forces.Wrench(-self.strength * r / (0.01 + r @ r), jnp.zeros(3))}
 
             def potential_energy(self, t, motions):
                 r = motions["ball"].position

@@ -186,7 +186,7 @@ class PID(AbstractController):
 
     positive where it makes the coordinate grow.
 
-        sj.PID(sj.Turn(("ground", "rotor"), axis=(0, 0, 1)), reference=sj.SmoothStep(0.0, 0.2, 0.0, 6.0),
+        sj.PID(sj.Turn(("ground", "rotor"), axis=(0, 0, 1)), reference=sj.functions.SmoothStep(0.0, 0.2, 0.0, 6.0),
                proportional=20.0, integral=40.0, derivative=2.0, filter_time=1e-3, limits=(-5, 5), tracking_time=0.1)
 
     Attributes:

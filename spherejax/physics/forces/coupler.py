@@ -233,7 +233,7 @@ class Coupler(AbstractForce):
     f resists the second coordinate, and ratio f drives the first. The stiffer, the closer to gears without play. Both u
     and f are in the units of the second coordinate: m and N, or rad and N m of a `Turn` without a radius.
 
-        meshing = sj.Coupler(
+        meshing = sj.forces.Coupler(
             sj.Turn(("housing", "pinion"), axis=(0, 0, 1), radius=0.02),
             sj.Turn(("housing", "wheel"), axis=(0, 0, 1), radius=0.06),
             ratio=-1.0, stiffness=1e7, damping=50.0,

@@ -127,7 +127,7 @@ def _nearness(t: Scalar, instant: Scalar) -> Scalar:
 class AbstractForceWithMemory(AbstractForce):
     """A force element with states of its own: `memory` and `action`; and `sampled`, where it samples.
 
-        class Lag(sj.AbstractForceWithMemory):
+        class Lag(sj.forces.AbstractForceWithMemory):
             '''A thrust of `strength` that builds up with a time constant.'''
 
             strength: float  # N
@@ -139,13 +139,13 @@ class AbstractForceWithMemory(AbstractForce):
 
             @property
             def memory(self):
-                return (sj.MemoryEntry("thrust", "N", "force"),)
+                return (sj.forces.MemoryEntry("thrust", "N", "force"),)
 
             def action(self, t, motions, memory):
                 (thrust,) = memory
-                wrench = sj.Wrench(thrust * jnp.array([0.0, 0.0, 1.0]), jnp.zeros(3))
+                wrench = sj.forces.Wrench(thrust * jnp.array([0.0, 0.0, 1.0]), jnp.zeros(3))
                 rate = (self.strength - thrust) / self.time
-                return sj.ForceAction({"ball": wrench}, jnp.stack([rate]), parts={"force": thrust})
+                return sj.forces.ForceAction({"ball": wrench}, jnp.stack([rate]), parts={"force": thrust})
 
     What is remembered is read by `run.memory(name)`. All else is as of an `AbstractForce`: numbers are leaves, and the
     power that it puts in counts as supplied work unless it `never_adds_energy`.

@@ -120,7 +120,7 @@ class TorsionalSpring(AbstractTorsionalForce):
     `run.memory(name)` shows.
 
     Limits: where the axes of the two bodies are tilted by pi against each other there is no angle: values and
-    derivatives stay finite, and a run with a tilt beyond 170 degrees warns (`sj.OutOfRangeWarning`).
+    derivatives stay finite, and a run with a tilt beyond 170 degrees warns (`sj.errors.OutOfRangeWarning`).
     """
 
     bodies: tuple[str, str] = eqx.field(static=True)

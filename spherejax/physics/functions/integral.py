@@ -45,7 +45,8 @@ class Integral(AbstractFunction):
 
     An angle by its speed, of a driver or as a controller's reference:
 
-        sj.RotationDriver(("ground", "crank"), axis, sj.Integral(sj.Table([0.0, 0.5], [0.0, 30.0]), start=0.2))
+        sj.RotationDriver(("ground", "crank"), axis, sj.functions.Integral(sj.functions.Table([0.0, 0.5], [0.0, 30.0]),
+        start=0.2))
 
     Attributes:
         rate: the function that is integrated, or a number for a constant rate.
@@ -129,7 +130,7 @@ class Integral(AbstractFunction):
         ]
         if self.rate.knows_primitive:
             return rows
-        remedy = "Give the end of the motion: sj.Integral(rate, start, until=2.0)."
+        remedy = "Give the end of the motion: sj.functions.Integral(rate, start, until=2.0)."
         if self.until is None:
             return [*rows, Requirement("until", None, False, "be there, for the rate's integral is no formula", remedy)]
         if self.panels < 1:
@@ -140,7 +141,7 @@ class Integral(AbstractFunction):
         expected = "be enough for the rate: its integral changes when they are halved"
         remedy = (
             f"Give more, as panels={4 * self.panels}. Where the rate jumps or has a kink, say where: "
-            "sj.Piecewise([t], [f, g]), or sj.Table."
+            "sj.functions.Piecewise([t], [f, g]), or sj.functions.Table."
         )
         return [*rows, Requirement("panels", self.panels, stray <= RESOLVED, expected, remedy)]
 

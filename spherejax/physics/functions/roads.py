@@ -32,7 +32,8 @@ class RandomRoad(AbstractFunction):
     The bands divide the range from `lowest` to `highest` evenly on a logarithmic scale; each wave lies at random in its
     band, so that the road does not repeat itself. The variance of each band is exact. The road begins at height 0.
 
-        sj.Tyre("wheel.center", radius=0.32, stiffness=2e5, road=sj.RandomRoad.of_class("C", seed=1), speed=20.0)
+        sj.forces.Tyre("wheel.center", radius=0.32, stiffness=2e5, road=sj.functions.RandomRoad.of_class("C", seed=1),
+        speed=20.0)
 
     Attributes:
         roughness: G(n_0) [m^3]; `RandomRoad.of_class("C")` for that of a class, "A" (smooth) to "H".

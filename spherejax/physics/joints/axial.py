@@ -153,8 +153,8 @@ class Revolute(AbstractAxialJoint):
         point_name: its name, where it is given by name (`point="body.point"`).
         axis: direction of the axis, world axes at the start, any length, shape (3,).
         model: `Ideal(...)`; `Bushing(law=...)` with a law that resists rotation, in axes with z along the axis;
-            `Dry(...)` with the contact of a cylinder (`conformity=sj.JohnsonCylinder(length)`) or a given stiffness;
-            `Lubricated(...)` with a bearing's film as well (`film=sj.ShortBearing(length)`).
+            `Dry(...)` with the contact of a cylinder (`conformity=sj.laws.JohnsonCylinder(length)`) or a given
+            stiffness; `Lubricated(...)` with a bearing's film as well (`film=sj.laws.ShortBearing(length)`).
         starts_concentric: whether a bushing starts relaxed and a journal in the middle, the start being assembled as if
             the joint were ideal; False leaves the bodies, and their velocities, as they are described.
         second_point: of a journal its center, so that it may start beside that of the bearing (with

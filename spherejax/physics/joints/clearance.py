@@ -120,7 +120,8 @@ class AbstractClearanceModel(AbstractSphericalModel):
         else:
             fits, name = not is_bearing or self.normal.stiffness is not None, "None"
         remedy = (
-            "Give conformity=sj.JohnsonCylinder(length) or sj.EsduCylinder(length), or a normal law with a stiffness: "
+            "Give conformity=sj.laws.JohnsonCylinder(length) or sj.laws.EsduCylinder(length), or a normal law "
+            "with a stiffness: "
             "that of Eq. 24 is of spheres."
             if is_bearing
             else "JohnsonCylinder and EsduCylinder are of revolute joints; a ball has SphericalProfile, WinklerLiner."

@@ -62,7 +62,7 @@ class RotationDriver(AbstractPairJoint):
         angle: a function of time t [s] in jnp, in rad; 0 is the orientation of the described start. Smooth to the
             second derivative.
         rate: given instead of angle, a motor's speed by time: a number [rad/s], or a function of time. The angle is its
-            `Integral`; of a Python function give angle=sj.Integral(rate, start, until=...).
+            `Integral`; of a Python function give angle=sj.functions.Integral(rate, start, until=...).
         start: with rate, the angle at t = 0 [rad].
     """
 

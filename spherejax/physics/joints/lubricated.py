@@ -62,7 +62,7 @@ def _check_film(film: AbstractFilm, boundary: AbstractFilmBoundary) -> None:
     if not isinstance(film, RadialFilm) and not _serves_every_direction(boundary):
         raise SceneError(
             f"{type(film).__name__} with {type(boundary).__name__}: that condition is of squeezing along the line of "
-            "centers alone. Take boundary=sj.Guembel() or boundary=sj.Sommerfeld(), or film=sj.RadialFilm()."
+            "centers alone. Take boundary=sj.Guembel() or boundary=sj.Sommerfeld(), or film=sj.laws.RadialFilm()."
         )
 
 
@@ -180,9 +180,9 @@ class Lubricated(AbstractClearanceModel):
         """A film of such a joint as well."""
         film = self.film
         remedy = (
-            "Give film=sj.ShortBearing(length) or film=sj.LongBearing(length)."
+            "Give film=sj.laws.ShortBearing(length) or film=sj.laws.LongBearing(length)."
             if is_bearing
-            else "Give film=sj.FullFilm() or film=sj.RadialFilm(); bearings belong to revolute joints."
+            else "Give film=sj.laws.FullFilm() or film=sj.laws.RadialFilm(); bearings belong to revolute joints."
         )
         of = "of a journal in its bearing" if is_bearing else "of a ball in its socket"
         fits = film.is_of_bearing == is_bearing

@@ -33,8 +33,8 @@ class Rim(AbstractAxialJoint):
         point: the rim's center, world axes at the start [m], shape (3,); None where it is given by name.
         point_name: its name, where it is given by name (`point="body.point"`).
         axis: direction of the bearing's axis, world axes at the start, any length, shape (3,).
-        model: `Ideal()`, or `Dry(...)` with the contact of a cylinder (`conformity=sj.JohnsonCylinder(length)`) or a
-            given stiffness, for the half of the bearing that belongs to this rim.
+        model: `Ideal()`, or `Dry(...)` with the contact of a cylinder (`conformity=sj.laws.JohnsonCylinder(length)`) or
+            a given stiffness, for the half of the bearing that belongs to this rim.
         starts_concentric: whether the start is assembled as if the joint were ideal; False leaves the bodies, and their
             velocities, as they are described.
         is_thrust: whether a collar holds the journal along the axis here: one equation more.
@@ -96,7 +96,8 @@ def _half(model: AbstractSphericalModel) -> AbstractSphericalModel:
             return eqx.tree_at(lambda m: m.conformity.length, model, 0.5 * model.conformity.length)
         if model.conformity is not None:
             raise TypeError(
-                f"half of {type(model.conformity).__name__} is not known here: give each sj.Rim the contact of its half"
+                f"half of {type(model.conformity).__name__} is not known here: give each sj.joints.Rim the "
+                f"contact of its half"
             )
         if model.normal.stiffness is not None:
             return eqx.tree_at(lambda m: m.normal.stiffness, model, 0.5 * model.normal.stiffness)
@@ -115,7 +116,7 @@ def tilting_journal(
 ) -> dict[str, Rim]:
     """A journal with clearance that tilts in its bearing, as two rims: joints of a scene.
 
-        joints = {"crank": sj.Revolute(...), **sj.tilting_journal("pin", bodies, at, along, model, length=0.02)}
+        joints = {"crank": sj.Revolute(...), **sj.joints.tilting_journal("pin", bodies, at, along, model, length=0.02)}
 
     The rims are `NAME_1` and `NAME_2`, half a length before and behind the point along the axis; the first holds the
     journal along the axis. Each has half of the contact: that of a cylinder of half the length, or half of a given

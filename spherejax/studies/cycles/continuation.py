@@ -1,4 +1,4 @@
-"""`sj.continuation`: how a cycle changes with a number, round folds, with what happens to its stability."""
+"""`sj.studies.continuation`: how a cycle changes with a number, round folds, with what happens to its stability."""
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence

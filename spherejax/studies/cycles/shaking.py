@@ -18,7 +18,8 @@ from spherejax.physics.forces.applied import AppliedWrench
 REMEDY = (
     "an input that is shaken is a component of a force or moment of an AppliedWrench, such as 'forces.push.force.z', "
     "or of gravity, such as 'gravity.z'. For what a driver or a road prescribes follow a function that makes the "
-    "scene, with an sj.Sine in it: sj.continuation(build, 'frequency', (1, 20), period=lambda f: 1 / f, outputs=[...])"
+    "scene, with an sj.functions.Sine in it: "
+    "sj.studies.continuation(build, 'frequency', (1, 20), period=lambda f: 1 / f, outputs=[...])"
 )
 
 

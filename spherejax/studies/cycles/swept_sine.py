@@ -1,4 +1,4 @@
-"""`sj.swept_sine`: the frequency response of the mechanism itself, not of its linear neighbor."""
+"""`sj.studies.swept_sine`: the frequency response of the mechanism itself, not of its linear neighbor."""
 
 import warnings
 from collections.abc import Sequence

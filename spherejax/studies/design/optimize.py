@@ -73,7 +73,7 @@ def optimize(
         minimize: name of the measure to make least, e.g. `"peak reaction.a_arm_pivot"`; see `studies.design.measures`.
         limits: largest value by name of a measure, or a pair (lower, upper).
         measures: functions from a `Trajectory` to a number, by name, for `minimize` and `limits`. Inside, take
-            `sj.smooth_peak` in place of a largest sample.
+            `sj.studies.smooth_peak` in place of a largest sample.
         starts: searches; the first begins as given, the others anywhere within the bounds (of a number without bounds:
             within a factor of ten). The best design is returned.
         sharpnesses: exponents of smooth peaks, one for each round.

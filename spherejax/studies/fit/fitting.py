@@ -76,17 +76,18 @@ def fit(
             observables.
         noise: standard deviation of the errors of measurement, in the units of what was measured: a number, or numbers
             by observable. With None it is estimated from the residuals, for each observable of each experiment.
-        sensors: what the instruments make of the observables, by channel: `sj.Sensor` with gain, bias, delay or filter,
-            known or fitted. For experiments that say nothing of their own (`sj.Measured(..., sensors=)`).
-        loss: how much residuals count that are far larger than the noise: `sj.Huber()` for a few outliers,
-            `sj.Cauchy()` for gross errors; None: by their squares. Where the noise is not stated it is then estimated
-            by the median magnitude of the residuals. Intervals are those of the estimate with this loss.
-        method: `sj.LevenbergMarquardt()`, the default, or `sj.Descent(optax_optimiser)` for many parameters.
+        sensors: what the instruments make of the observables, by channel: `sj.studies.Sensor` with gain, bias, delay or
+            filter, known or fitted. For experiments that say nothing of their own (`sj.Measured(..., sensors=)`).
+        loss: how much residuals count that are far larger than the noise: `sj.studies.Huber()` for a few outliers,
+            `sj.studies.Cauchy()` for gross errors; None: by their squares. Where the noise is not stated it is then
+            estimated by the median magnitude of the residuals. Intervals are those of the estimate with this loss.
+        method: `sj.studies.LevenbergMarquardt()`, the default, or `sj.studies.Descent(optax_optimiser)` for many
+            parameters.
         starts: how many starts, side by side on all cores. The first is `start`; the others lie around it, up to a
             factor of ten away (positive parameters) or `log(10)` scales (others), within the bounds.
         horizon: how much of the record is looked at. With None the record grows: rough fits of its first parts, each
             twice as long, lead into the whole; a start whose vibration is out of step with the measured one would
-            otherwise end in a wrong minimum. `sj.Whole()` begins with all of it.
+            otherwise end in a wrong minimum. `sj.studies.Whole()` begins with all of it.
         rtol, atol, solver, max_steps: of the runs, as in `simulate`. An explicit solver controls the errors of the
             derivatives too. A run that fails within the fit is a step taken back.
         level: of the confidence intervals in the report.

@@ -296,7 +296,7 @@ def lost_at(start: Followed) -> str:
     )
 
 
-REMEDY = "Let the record grow (horizon=sj.GrowingHorizon()), shorten the record, or start nearer."
+REMEDY = "Let the record grow (horizon=sj.studies.GrowingHorizon()), shorten the record, or start nearer."
 
 
 def _percent(share: float) -> str:

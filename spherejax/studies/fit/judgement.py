@@ -34,7 +34,8 @@ def diagnosis_of(course: Course, problem) -> str:
         )
     if course.ending is Ending.TOO_MANY_ITERATIONS:
         return (
-            f"no minimum after {course.n_iterations} steps. Give more (method=sj.LevenbergMarquardt(max_iterations=)), "
+            f"no minimum after {course.n_iterations} steps. Give more "
+            f"(method=sj.studies.LevenbergMarquardt(max_iterations=)), "
             "start nearer, or fit fewer parameters."
         )
     return Ending.INTERRUPTED.value if course.ending is Ending.INTERRUPTED else ""
@@ -244,7 +245,7 @@ def _filters(fit) -> list[str]:
         return []
     return [
         f"with filter intervals twice as long the predictions change: {', '.join(coarse)}, which is more than a tenth "
-        "of the noise. Raise substeps of sj.LowPass or sj.Differentiator"
+        "of the noise. Raise substeps of sj.studies.LowPass or sj.studies.Differentiator"
     ]
 
 

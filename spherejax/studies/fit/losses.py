@@ -166,7 +166,9 @@ def check_loss(loss: Any) -> None:
         SceneError: naming it.
     """
     if loss is not None and (isinstance(loss, type) or not isinstance(loss, Loss)):
-        raise SceneError(f"loss must be sj.Huber(), sj.Cauchy() or None for least squares; it is {loss!r}")
+        raise SceneError(
+            f"loss must be sj.studies.Huber(), sj.studies.Cauchy() or None for least squares; it is {loss!r}"
+        )
 
 
 def _check_positive(what: str, number: Any) -> None:

@@ -110,7 +110,8 @@ def _refuse_traced(ts: Any, values: Mapping[str, Any]) -> None:
     if not all(map(is_concrete, jax.tree.leaves(ts))):
         raise SceneError(
             "the instants of measurements are traced; sj.fit takes them as numbers. An unknown clock offset is a "
-            "parameter: Measured(..., sensors={channel: sj.Sensor(delay='late')}), as the page on fits shows ('A clock "
+            "parameter: Measured(..., sensors={channel: sj.studies.Sensor(delay='late')}), as the page on "
+            "fits shows ('A clock "
             "offset between two channels'). Residuals of your own take sj.simulate, whose sample times have derivatives"
         )
     for name, value in values.items():
@@ -159,7 +160,7 @@ def _column(name: str, value: Any, n: int) -> np.ndarray:
 
 def _sensors(sensors: Any) -> dict[str, Sensor]:
     if not isinstance(sensors, Mapping | None) or not all(isinstance(one, Sensor) for one in (sensors or {}).values()):
-        raise SceneError(f"sensors must be a dict of sj.Sensor by channel; it is {sensors!r}")
+        raise SceneError(f"sensors must be a dict of sj.studies.Sensor by channel; it is {sensors!r}")
     return dict(sensors or {})
 
 

@@ -84,7 +84,7 @@ class Sensor:
         bias: in units of the readings; an array for the components of a vector.
         delay: the reading at t shows the motion at t - delay [s]. Negative for a clock that runs late. Its derivative
             comes from the rates of the state.
-        filter: `sj.LowPass` or `sj.Differentiator`, in front of gain, bias and delay; None: none.
+        filter: `sj.studies.LowPass` or `sj.studies.Differentiator`, in front of gain, bias and delay; None: none.
         held_before_start: what a delayed channel shows of times before the motion starts: True, the value at the
             start, right of a mechanism that rests until it is released at `t0`; False: such a reading is refused.
         unit: of the readings, for reports; the observable's own where it is not said and `gain` is 1.
@@ -105,7 +105,9 @@ class Sensor:
         if self.of is not None and not isinstance(self.of, str):
             raise SceneError(f"Sensor: of = {self.of!r} must be the name of an observable, e.g. 'position.rocker.z'")
         if not isinstance(self.filter, LowPass | Differentiator | None):
-            raise SceneError(f"Sensor: filter must be sj.LowPass, sj.Differentiator or None; it is {self.filter!r}")
+            raise SceneError(
+                f"Sensor: filter must be sj.studies.LowPass, sj.studies.Differentiator or None; it is {self.filter!r}"
+            )
         for name in ("gain", "bias", "delay"):
             object.__setattr__(self, name, _number(f"Sensor: {name}", getattr(self, name), is_one=name == "delay"))
         if isinstance(self.gain, float) and self.gain == 0:

@@ -26,7 +26,7 @@ NYQUIST = 0.5
 class SampledMotion(eqx.Module):
     """Samples of a motion, and how they are smoothed; for `inverse_dynamics`.
 
-        motion = sj.SampledMotion(
+        motion = sj.studies.SampledMotion(
             ts, coordinates={"elbow": (sj.Turn(("upper", "lower"), (0, 0, 1)), angles)}, cutoff=6.0
         )
 

@@ -42,7 +42,7 @@ def inverse_dynamics(scene: Scene, motion: Any, *, motors: Motors = None, fricti
 
         found = sj.inverse_dynamics(scene, ts)                            # the scene's drivers prescribe the motion
         found = sj.inverse_dynamics(scene, run)                           # a motion that was simulated
-        found = sj.inverse_dynamics(scene, sj.SampledMotion(...)) # a motion that was measured
+        found = sj.inverse_dynamics(scene, sj.studies.SampledMotion(...)) # a motion that was measured
         found.effort("knee"), found.reaction("hip")
 
     Every joint is ideal here, whatever its model: its reaction is what the motion asks for. The motion may be that of a

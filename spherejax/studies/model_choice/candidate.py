@@ -70,7 +70,7 @@ def candidates_from(given: Any) -> dict[str, Candidate]:
     if not isinstance(given, Mapping) or len(given) < 2:
         raise SceneError(
             "candidates must be a dict of two or more models by name, e.g. {'ideal': build_ideal, 'bushing': "
-            f"sj.Candidate(build, {{'stiffness': 1e5}})}}; it is {given!r}"
+            f"sj.studies.Candidate(build, {{'stiffness': 1e5}})}}; it is {given!r}"
         )
     return {str(name): _candidate_from(str(name), one) for name, one in given.items()}
 
@@ -86,7 +86,8 @@ def _candidate_from(name: str, given: Any) -> Candidate:
         candidate = Candidate(cast(Build, given))
     else:
         raise SceneError(
-            f"candidate {name!r} is {given!r}; give sj.Candidate(build, start), a pair (build, start), or, for a model "
+            f"candidate {name!r} is {given!r}; give sj.studies.Candidate(build, start), a pair "
+            f"(build, start), or, for a model "
             "without parameters, a builder or a scene"
         )
     builders = candidate.builders
@@ -109,7 +110,7 @@ def check_arguments(name: str, candidate: Candidate, own: Collection[str]) -> No
         if missing:
             raise SceneError(
                 f"candidate {name!r} has no start for {', '.join(map(repr, missing))}, which its builder takes; give "
-                f"sj.Candidate(build, {{{missing[0]!r}: ...}})"
+                f"sj.studies.Candidate(build, {{{missing[0]!r}: ...}})"
             )
 
 

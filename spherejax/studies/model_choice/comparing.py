@@ -88,8 +88,8 @@ def compare_models(
 
     Args:
         records: one record or a list, as for `sj.fit`.
-        candidates: by name `sj.Candidate(build, start)`, or a pair of both; for a model without parameters its builder
-            or its scene. Give parameters that are not known to a factor of ten as `sj.Parameter(start, lower=,
+        candidates: by name `sj.studies.Candidate(build, start)`, or a pair of both; for a model without parameters its
+            builder or its scene. Give parameters that are not known to a factor of ten as `sj.Parameter(start, lower=,
             upper=)`: they are searched over this range.
 
     Other args:
@@ -97,7 +97,7 @@ def compare_models(
         held_out: how large that part is, a share of the record's duration; without `validate` only.
         columns, noise, sensors: of the records, as in `sj.fit`. Noise that is not stated is estimated from the
             residuals of the model that leaves the smallest.
-        method: of the local fits; `sj.LevenbergMarquardt(tolerance=0.1, max_iterations=24)` by default.
+        method: of the local fits; `sj.studies.LevenbergMarquardt(tolerance=0.1, max_iterations=24)` by default.
         draws: parameters that are tried over the ranges of each model with parameters, the start among them.
         starts: from how many of these local fits begin.
         rtol, atol, solver, max_steps: of the runs, as in `simulate`. A draw that takes more steps counts as failed.
@@ -184,7 +184,7 @@ def _records(given, columns, sensors, word: str, *, is_strict: bool) -> list[Mea
         if one.build is not None:
             raise SceneError(
                 f"{one.name or 'a record'} has a builder of its own, which would stand for all candidates; give the "
-                "builders by record, sj.Candidate({record: build}), or what differs as own= parameters"
+                "builders by record, sj.studies.Candidate({record: build}), or what differs as own= parameters"
             )
     return [one.named(f"{word} {i + 1}" if len(records) > 1 else word) for i, one in enumerate(records)]
 

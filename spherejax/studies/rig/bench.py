@@ -256,7 +256,7 @@ def found_corner(scene: Scene, corner: Corner) -> Corner:
     Raises:
         SceneError: for what the corner names and the scene has not.
     """
-    remedy = "Say what is what with corner=sj.Corner(...)"
+    remedy = "Say what is what with corner=sj.vehicle.Corner(...)"
     if corner.carrier not in scene.bodies:
         raise SceneError(
             f"rig: no body {corner.carrier!r} carries the wheel; {one_of(scene.bodies, corner.carrier)}. {remedy}"

@@ -200,7 +200,8 @@ def _ackermann(rig: Rig, vehicle: Vehicle, track: Number) -> Any:
     mirror, missing = apart.argmin(1), apart.min(1) > 1e-12  # equal numbers, but for rounding
     if np.any(missing):
         raise SceneError(
-            f"ackermann: there is no position with steer = {-steer[missing][0]:.6g} at the same travel; ask sj.rig for "
+            f"ackermann: there is no position with steer = {-steer[missing][0]:.6g} at the same travel; ask "
+            f"sj.vehicle.rig for "
             "steer from -a to a, e.g. np.linspace(-0.05, 0.05, 11)"
         )
     angle = rig.wheel_angle()

@@ -1,4 +1,4 @@
-"""`sj.rig_samples`: the rig of many corners whose numbers differ, in one program, for tolerances of them."""
+"""`sj.vehicle.rig_samples`: the rig of many corners whose numbers differ, in one program, for tolerances of them."""
 
 import warnings
 from collections.abc import Mapping
@@ -36,8 +36,8 @@ def rig_samples(
 ) -> "xarray.Dataset":
     """The rig of many corners whose numbers differ: what tolerances do to toe, camber and the rest.
 
-        spreads = {"height": sj.Tolerance(0.235, 1e-3)}
-        found = sj.rig_samples(build, sj.random_samples(spreads, 10_000), np.linspace(-0.08, 0.08, 9))
+        spreads = {"height": sj.studies.Tolerance(0.235, 1e-3)}
+        found = sj.vehicle.rig_samples(build, sj.studies.random_samples(spreads, 10_000), np.linspace(-0.08, 0.08, 9))
         found["toe"].std("run")
 
     One program for all of them; ten thousand samples then take seconds. It is kept: a further call with as many samples
@@ -45,18 +45,18 @@ def rig_samples(
 
     Args:
         build: makes a scene from the numbers, given by keyword. It is traced.
-        samples: of `sj.random_samples`, `sj.sobol_samples`, `sj.zipped`, or a list for each number, for all
-            combinations.
+        samples: of `sj.studies.random_samples`, `sj.studies.sobol_samples`, `sj.studies.zipped`, or a list for each
+            number, for all combinations.
 
     Other args:
-        travel, steer, loads, corner, part: as of `sj.rig`, the same for all samples.
+        travel, steer, loads, corner, part: as of `sj.vehicle.rig`, the same for all samples.
 
     Returns:
-        Curves in SI units with the names of `sj.Rig`, over `run` (or the numbers, where all are combined) and travel,
-        with the numbers of each run; `status` as there.
+        Curves in SI units with the names of `sj.vehicle.Rig`, over `run` (or the numbers, where all are combined) and
+        travel, with the numbers of each run; `status` as there.
 
     Raises:
-        SceneError: as `sj.rig`, also for a sample whose number is not legal.
+        SceneError: as `sj.vehicle.rig`, also for a sample whose number is not legal.
 
     Warns:
         RigWarning: where positions were not found; their curves are NaN.

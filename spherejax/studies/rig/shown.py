@@ -33,7 +33,8 @@ REASONS = {
         "take sj.Ideal() for the joint"
     ),
     RigStatus.LOOSE: (
-        "something is free to move under the loads: nothing holds it. Hold the steering (sj.Corner(steering=...)), or "
+        "something is free to move under the loads: nothing holds it. Hold the steering "
+        "(sj.vehicle.Corner(steering=...)), or "
         "add the joint that is missing"
     ),
 }

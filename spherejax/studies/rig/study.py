@@ -1,4 +1,4 @@
-"""`sj.rig`: kinematics and compliance of one corner of a car."""
+"""`sj.vehicle.rig`: kinematics and compliance of one corner of a car."""
 
 import warnings
 from functools import partial
@@ -88,7 +88,7 @@ def rig(
 ) -> Rig:
     """Kinematics and compliance of a corner: toe, camber and the rest at each travel, steer and load.
 
-        k = sj.rig(sj.gallery.double_wishbone(), np.linspace(-0.08, 0.08, 17))
+        k = sj.vehicle.rig(sj.gallery.double_wishbone(), np.linspace(-0.08, 0.08, 17))
         print(k); k.toe, k.wheel_rate; k.figure(); k.to_xarray()
 
     A platform lifts the contact patch, the steering is held, loads act at the patch; nothing moves in time. With ideal
@@ -105,7 +105,7 @@ def rig(
 
     Other args:
         steer: displacement of the driver that steers [m], or its angle [rad].
-        loads: on the wheel, `sj.WheelLoads(lateral=-2000.0)`.
+        loads: on the wheel, `sj.vehicle.WheelLoads(lateral=-2000.0)`.
         corner: which body carries the wheel, and so on, where the scene has other names than the gallery.
         part: largest travel and steer that is closed at once [m, rad]; smaller for mechanisms smaller than a car's.
 
@@ -172,7 +172,10 @@ def _refuse_films(system: System) -> None:
 def _points(travel: Numeric, steer: Numeric, loads: WheelLoads) -> Any:
     """Travel, steer and loads of each position, shape (n, 6)."""
     if not isinstance(loads, WheelLoads):
-        raise SceneError(f"rig: loads = {shown(loads)} must be sj.WheelLoads(...), e.g. sj.WheelLoads(lateral=-2000.0)")
+        raise SceneError(
+            f"rig: loads = {shown(loads)} must be sj.vehicle.WheelLoads(...), e.g. "
+            f"sj.vehicle.WheelLoads(lateral=-2000.0)"
+        )
     given = {"travel": travel, "steer": steer, **{f"loads.{name}": value for name, value in loads._asdict().items()}}
     lengths = {}
     for name, value in given.items():

@@ -1,4 +1,4 @@
-"""`sj.fit_stiffness`: identification of a bushing from its measured dynamic stiffness.
+"""`sj.studies.fit_stiffness`: identification of a bushing from its measured dynamic stiffness.
 
 The residuals are those of log(K/K_measured): of ln |K|, and of the loss angle in radians, each as a share of its noise.
 The method is that of `sj.fit`, Levenberg-Marquardt, and so is what the estimates are said to be worth.
@@ -64,7 +64,7 @@ def fit_stiffness(
         noise: standard deviation of the errors of measurement: of the stiffness as a share of it, and of the loss angle
             [rad]: a number for both, or `{"stiffness": 0.02, "loss_angle": 0.01}`. With None one number for both is
             estimated from the residuals.
-        method: `sj.LevenbergMarquardt()`, with numbers of your own.
+        method: `sj.studies.LevenbergMarquardt()`, with numbers of your own.
         starts: how many starts; the first is `start`, the others lie around it, up to a factor of ten away.
         determined_within: a combination of parameters that the data leave with a larger relative standard deviation
             is named as undetermined.

@@ -1,4 +1,4 @@
-"""`sj.dynamic_stiffness`: what a test stand measures of a bushing, over frequency and amplitude."""
+"""`sj.studies.dynamic_stiffness`: what a test stand measures of a bushing, over frequency and amplitude."""
 
 import os
 from functools import reduce

@@ -139,7 +139,7 @@ def random_samples(ranges: Mapping[str, Spread], n: int, *, rng: Rng = 0, logari
     """Independent samples.
 
     Args:
-        ranges: of each parameter the least and largest value (uniform), a `sj.Tolerance`, or a distribution of
+        ranges: of each parameter the least and largest value (uniform), a `sj.studies.Tolerance`, or a distribution of
             scipy.stats.
         n: number of runs.
         rng: of the random numbers: a whole number gives the same runs each time; a generator, or None for other runs.
@@ -205,7 +205,7 @@ def _numbers(name: str, given) -> Float[np.ndarray, " n"]:
     if not all(map(is_concrete, jax.tree.leaves(given))):
         raise SceneError(
             f"parameter {name!r} is traced (within jax.jit, jax.grad or jax.vmap), and a sweep takes numbers. For "
-            "derivatives record sensitivities, sj.Sensitivity(...), or map runs of your own: "
+            "derivatives record sensitivities, sj.studies.Sensitivity(...), or map runs of your own: "
             "jax.vmap(jax.grad(lambda x: ...sj.simulate(...)))"
         )
     try:

@@ -7,8 +7,8 @@
     "time_in_contact.coupler_rocker"   [s]
     "sensitivity final position.rocker"   derivatives by all parameters of the sweep; also of samples
 
-and functions from a `Trajectory` to an array, by name. `sj.Sensitivity(...)` asks for derivatives by some of the
-parameters, or of functions.
+and functions from a `Trajectory` to an array, by name. `sj.studies.Sensitivity(...)` asks for derivatives by some of
+the parameters, or of functions.
 """
 
 from collections.abc import Callable, Mapping, Sequence

@@ -71,12 +71,12 @@ def sweep(
 
     Args:
         build: makes a `Scene` from the parameters, given by keyword. It is traced: all scenes share one structure.
-        grid: lists of values by name, whose product is swept; or a grid of `sj.zipped`, `sj.random_samples`,
-            `sj.sobol_samples`.
+        grid: lists of values by name, whose product is swept; or a grid of `sj.studies.zipped`,
+            `sj.studies.random_samples`, `sj.studies.sobol_samples`.
         ts: sample times [s], increasing; every run goes from the first to the last.
         record: what is kept of each run: names such as `"final position.rocker"`, `"peak acceleration.rocker"`,
             `"onsets.coupler_rocker"`, or functions from a `Trajectory` to an array; see `studies.sweep.records`.
-            Derivatives by the parameters: `"sensitivity final position.rocker"`, or `sj.Sensitivity`.
+            Derivatives by the parameters: `"sensitivity final position.rocker"`, or `sj.studies.Sensitivity`.
 
     Other args:
         rtol, atol, solver, derivative_rtol, max_steps: as in `simulate`.

@@ -18,7 +18,7 @@ LEAST = 2.0**-54
 
 @dataclass(frozen=True)
 class Tolerance:
-    """A number with limits, as on a drawing: `sj.Tolerance(1e-4, 2e-5)` is 0.1 mm +- 0.02 mm.
+    """A number with limits, as on a drawing: `sj.studies.Tolerance(1e-4, 2e-5)` is 0.1 mm +- 0.02 mm.
 
     Attributes:
         nominal: the middle.
@@ -126,7 +126,8 @@ def _uniform(name: str, given):
         ends = np.zeros(0)
     if ends.shape != (2,) or not np.all(np.isfinite(ends)) or not ends[0] < ends[1]:
         raise SceneError(
-            f"parameter {name!r} needs a range (least, largest), a sj.Tolerance(nominal, half_width) or a distribution "
+            f"parameter {name!r} needs a range (least, largest), a sj.studies.Tolerance(nominal, half_width) "
+            f"or a distribution "
             f"of scipy.stats; it has {given!r}"
         )
     return stats.uniform(ends[0], ends[1] - ends[0])

@@ -1,4 +1,4 @@
-"""`sj.tolerance_budget`: what tolerances make of a motion to first order, from derivatives at their middle."""
+"""`sj.studies.tolerance_budget`: what tolerances make of a motion to first order, from derivatives at their middle."""
 
 import warnings
 from collections.abc import Callable, Mapping
@@ -185,13 +185,13 @@ def tolerance_budget(
         sigma_y^2 = sum_k (dy/dx_k sigma_k)^2,   worst = sum_k |dy/dx_k| t_k
 
     It costs one run with derivatives; and that the motion is straight enough for it is checked by two more runs for
-    each number, at one deviation to either side. Where impacts make it bend, `sj.sobol_indices` and `sj.monte_carlo`
-    assume nothing.
+    each number, at one deviation to either side. Where impacts make it bend, `sj.studies.sobol_indices` and
+    `sj.monte_carlo` assume nothing.
 
     Args:
         build: makes a `Scene` from the numbers, given by keyword. It is traced.
-        spreads: by name a `sj.Tolerance`, a range (least, largest) or a distribution of scipy.stats; independent. The
-            derivatives are taken at the means.
+        spreads: by name a `sj.studies.Tolerance`, a range (least, largest) or a distribution of scipy.stats;
+            independent. The derivatives are taken at the means.
         ts: sample times [s], increasing.
 
     Other args:
@@ -286,7 +286,8 @@ def _judged(parts: list[BudgetPart], diagnosis: str) -> str:
         said = ", ".join(f"{name} by {f'{100 * s:.0f} %' if s < 10 else 'many times'}" for name, s in off.items())
         text = (
             f"tolerance_budget: at one deviation aside the first order is off, as a share of the largest deviation: "
-            f"{said}. Take sj.sobol_indices or sj.monte_carlo, which assume no straight lines, or smaller tolerances"
+            f"{said}. Take sj.studies.sobol_indices or sj.monte_carlo, which assume no straight lines, or "
+            f"smaller tolerances"
         )
     else:
         worst = 100 * max(made.values())

@@ -116,7 +116,7 @@ def monte_carlo(
 
     Args:
         build: makes a `Scene` from the numbers, given by keyword. It is traced.
-        spreads: by name a `sj.Tolerance`, a range (least, largest) or a distribution of scipy.stats.
+        spreads: by name a `sj.studies.Tolerance`, a range (least, largest) or a distribution of scipy.stats.
         ts: sample times [s], increasing.
 
     Other args:

@@ -72,7 +72,9 @@ def scattered_numbers(spreads: Mapping[str, Spread]) -> list[Scattered]:
         SceneError: for nothing, or for what says no scatter.
     """
     if not isinstance(spreads, Mapping) or not spreads:
-        raise SceneError('spreads= needs uncertain numbers by name, e.g. {"clearance": sj.Tolerance(1e-4, 2e-5)}')
+        raise SceneError(
+            'spreads= needs uncertain numbers by name, e.g. {"clearance": sj.studies.Tolerance(1e-4, 2e-5)}'
+        )
     return [scattered(name, spread) for name, spread in spreads.items()]
 
 

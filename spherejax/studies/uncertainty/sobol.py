@@ -1,4 +1,4 @@
-"""`sj.sobol_indices`: which number's scatter makes which share of the variance of what is observed.
+"""`sj.studies.sobol_indices`: which number's scatter makes which share of the variance of what is observed.
 
 Source: SciPy's `sobol_indices` (the estimators of Saltelli et al. (2010), Computer Physics Communications 181:259-270).
 """
@@ -150,7 +150,8 @@ def sobol_indices(
 
     Args:
         build: makes a `Scene` from the numbers, given by keyword. It is traced.
-        spreads: by name a `sj.Tolerance`, a range (least, largest) or a distribution of scipy.stats; independent.
+        spreads: by name a `sj.studies.Tolerance`, a range (least, largest) or a distribution of scipy.stats;
+            independent.
         ts: sample times [s], increasing.
 
     Other args:

@@ -1,0 +1,121 @@
+from .foundations.checks import Requirement
+from .physics.laws.bearings import LongBearing, ShortBearing
+from .physics.laws.conformity import AbstractConformity, SphericalProfile, WinklerLiner
+from .physics.laws.cylinders import EsduCylinder, JohnsonCylinder
+from .physics.laws.elastomer import AbstractElastomer, RadialElastomer, VectorElastomer
+from .physics.laws.elastomer_axes import CrossElastomer, HingeElastomer
+from .physics.laws.elastomer_curve import CurveElastomer
+from .physics.laws.elastomer_matrix import MatrixElastomer
+from .physics.laws.film import (
+    AbstractFilmBoundary,
+    Guembel,
+    PinkusSternlicht,
+    Sommerfeld,
+    film_force,
+    hybrid_weight,
+    squeeze_coefficient,
+    squeeze_factor,
+)
+from .physics.laws.films import AbstractFilm, FilmAction, FilmGap, FilmMotion, FullFilm, RadialFilm
+from .physics.laws.friction import (
+    AbstractFrictionLaw,
+    AbstractStaticFriction,
+    Ambrosio,
+    BengisuAkay,
+    BrownMcPhee,
+    Coulomb,
+    LuGre,
+    Threlfall,
+)
+from .physics.laws.full_film import (
+    PressurePeak,
+    ShearFactors,
+    full_sphere_load,
+    half_sphere_load,
+    pressure_peak,
+    shear_factors,
+)
+from .physics.laws.impact import exact_hysteresis_factor, maximum_penetration, realized_restitution
+from .physics.laws.material import Material, generalized_stiffness
+from .physics.laws.normal import (
+    AbstractHysteresisLaw,
+    AbstractNormalLaw,
+    ExactRestitution,
+    Flores,
+    Gonthier,
+    Hertz,
+    HuntCrossley,
+    HuntCrossleyDissipation,
+    LankaraniNikravesh,
+)
+from .physics.laws.pressure import AbstractPressure, CosinePressure, PointContact, PreloadAlone, UniformPressure
+from .physics.laws.viscoelastic import Berg, Maxwell
+from .physics.memory import MemoryEntry
+
+__all__ = [
+    "AbstractConformity",
+    "AbstractElastomer",
+    "AbstractFilm",
+    "AbstractFilmBoundary",
+    "AbstractFrictionLaw",
+    "AbstractHysteresisLaw",
+    "AbstractNormalLaw",
+    "AbstractPressure",
+    "AbstractStaticFriction",
+    "Ambrosio",
+    "BengisuAkay",
+    "Berg",
+    "BrownMcPhee",
+    "CosinePressure",
+    "Coulomb",
+    "CrossElastomer",
+    "CurveElastomer",
+    "EsduCylinder",
+    "ExactRestitution",
+    "FilmAction",
+    "FilmGap",
+    "FilmMotion",
+    "Flores",
+    "FullFilm",
+    "Gonthier",
+    "Guembel",
+    "Hertz",
+    "HingeElastomer",
+    "HuntCrossley",
+    "HuntCrossleyDissipation",
+    "JohnsonCylinder",
+    "LankaraniNikravesh",
+    "LongBearing",
+    "LuGre",
+    "Material",
+    "MatrixElastomer",
+    "Maxwell",
+    "MemoryEntry",
+    "PinkusSternlicht",
+    "PointContact",
+    "PreloadAlone",
+    "PressurePeak",
+    "RadialElastomer",
+    "RadialFilm",
+    "Requirement",
+    "ShearFactors",
+    "ShortBearing",
+    "Sommerfeld",
+    "SphericalProfile",
+    "Threlfall",
+    "UniformPressure",
+    "VectorElastomer",
+    "WinklerLiner",
+    "exact_hysteresis_factor",
+    "film_force",
+    "full_sphere_load",
+    "generalized_stiffness",
+    "half_sphere_load",
+    "hybrid_weight",
+    "maximum_penetration",
+    "pressure_peak",
+    "realized_restitution",
+    "shear_factors",
+    "squeeze_coefficient",
+    "squeeze_factor",
+]

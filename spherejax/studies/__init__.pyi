@@ -1,0 +1,90 @@
+from .accuracy import SOLVERS, WorkPrecision, work_precision
+from .bayes import Posterior, posterior
+from .cases import joint_models
+from .cycles import Branch, Cycle, SweptSine, continuation, steady_cycle, swept_sine
+from .design import Design, optimize, smooth_peak
+from .fit import (
+    Cauchy,
+    Descent,
+    Differentiator,
+    Fit,
+    GrowingHorizon,
+    Huber,
+    LevenbergMarquardt,
+    LowPass,
+    Measured,
+    Parameter,
+    Sensor,
+    Whole,
+)
+from .inverse import InverseDynamics, SampledMotion, inverse_dynamics
+from .linear import Linearization, Modes, linearize
+from .model_choice import Candidate, ModelComparison, ModelEvidence, compare_models
+from .rubber import DynamicStiffness, StiffnessFit, dynamic_stiffness, fit_stiffness
+from .sensitivity import Sensitivities
+from .subject import Comparison, ModelRow
+from .sweep import Grid, Sensitivity, Tolerance, open_sweep, product, random_samples, sobol_samples, zipped
+from .uncertainty import Scatter, SobolIndices, ToleranceBudget, monte_carlo, sobol_indices, tolerance_budget
+from .wear import Wear
+
+__all__ = [
+    "SOLVERS",
+    "Branch",
+    "Candidate",
+    "Cauchy",
+    "Comparison",
+    "Cycle",
+    "Descent",
+    "Design",
+    "Differentiator",
+    "DynamicStiffness",
+    "Fit",
+    "Grid",
+    "GrowingHorizon",
+    "Huber",
+    "InverseDynamics",
+    "LevenbergMarquardt",
+    "Linearization",
+    "LowPass",
+    "Measured",
+    "ModelComparison",
+    "ModelEvidence",
+    "ModelRow",
+    "Modes",
+    "Parameter",
+    "Posterior",
+    "SampledMotion",
+    "Scatter",
+    "Sensitivities",
+    "Sensitivity",
+    "Sensor",
+    "SobolIndices",
+    "StiffnessFit",
+    "SweptSine",
+    "Tolerance",
+    "ToleranceBudget",
+    "Wear",
+    "Whole",
+    "WorkPrecision",
+    "compare_models",
+    "continuation",
+    "dynamic_stiffness",
+    "fit_stiffness",
+    "inverse_dynamics",
+    "joint_models",
+    "linearize",
+    "monte_carlo",
+    "open_sweep",
+    "optimize",
+    "posterior",
+    "product",
+    "random_samples",
+    "smooth_peak",
+    "sobol_indices",
+    "sobol_samples",
+    "steady_cycle",
+    "swept_sine",
+    "tolerance_budget",
+    "work_precision",
+    "zipped",
+]
