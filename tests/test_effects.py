@@ -9,6 +9,7 @@ import pytest
 
 import spherejax as sj
 from spherejax.model.system import flatten_system
+from spherejax.motion.equations import programs
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for
 
@@ -167,3 +168,15 @@ def _start(system):
     from spherejax.motion.start.assembly import assemble_now
 
     return assemble_now(*flatten_system(as_ideal(system)))
+
+
+def test_effects_say_that_a_scene_runs_on_array_code_and_what_helps(monkeypatch):
+    scene = sj.gallery.chain(3)
+    assert sj.effects(scene, timed=False).note == ""
+    monkeypatch.setattr(programs, "LARGEST_SCALAR_PROGRAM", 500)
+    programs.made_program.cache_clear()
+    told = sj.effects(scene, timed=False)
+    programs.made_program.cache_clear()
+    assert "give scalar=True" in str(told).splitlines()[-1]
+    assert told.rows[0].n_operations == 0
+    assert str(told).splitlines()[2].split()[-4:] == ["-"] * 4

@@ -11,7 +11,7 @@ import numpy as np
 from spherejax.model.scene import Scene
 from spherejax.model.system import compile_scene, flatten_system
 from spherejax.motion.equations.dynamics import state_rate
-from spherejax.motion.equations.programs import program_for
+from spherejax.motion.equations.programs import path_of, program_for
 from spherejax.motion.integration.plan import as_ideal, initial_state
 from spherejax.motion.start.assembly import assemble_now
 from spherejax.physics.joints.base import AbstractSphericalModel
@@ -31,7 +31,7 @@ class EffectRow(NamedTuple):
         n_states: states that are integrated, with this effect and those above it.
         n_constraints: constraint rows.
         n_memory: memory entries among the states.
-        n_operations: scalar operations per right-hand side in the integration loop.
+        n_operations: scalar operations per right-hand side in the integration loop; 0 on array code, which has none.
         n_operations_ahead: scalar operations that depend on parameters alone, done once before the loop.
         microseconds: time per right-hand side, one trajectory, one core [us]; NaN when not timed.
     """
@@ -51,9 +51,11 @@ class Effects(NamedTuple):
 
     Attributes:
         rows: the ideal scene, then each effect upon those before it.
+        note: what is said below the table; empty where every row is a scalar program.
     """
 
     rows: tuple[EffectRow, ...]
+    note: str = ""
 
     def __str__(self) -> str:
         head = ("joint", "effect", "states", "rows", "memory", "operations", "ahead", "us/rhs", "x ideal")
@@ -65,7 +67,8 @@ class Effects(NamedTuple):
                 (
                     row.joint,
                     row.effect,
-                    *map(str, row[2:7]),
+                    *map(str, row[2:5]),
+                    *(map(str, row[5:7]) if row.n_operations else "--"),
                     f"{row.microseconds:.2f}" if timed else "-",
                     f"{row.microseconds / base:.2f}" if timed else "-",
                 )
@@ -78,7 +81,8 @@ class Effects(NamedTuple):
             ).rstrip()
             for line in lines
         ]
-        return "\n".join([padded[0], "-" * len(padded[0]), *padded[1:]])
+        said = [f"The scene runs on {self.note}."] if self.note else []
+        return "\n".join([padded[0], "-" * len(padded[0]), *padded[1:], *said])
 
 
 def effects(scene: Scene, *, timed: bool = True) -> Effects:
@@ -110,7 +114,7 @@ def effects(scene: Scene, *, timed: bool = True) -> Effects:
         for effect in model.effects:
             built = _with_model(built, name, effect.model)
             rows.append(_row(built, name, effect.name, timed))
-    return Effects(tuple(rows))
+    return Effects(tuple(rows), path_of(flatten_system(compile_scene(scene).system)[0]).reason)
 
 
 def _with_model(scene: Scene, joint: str, model: AbstractSphericalModel) -> Scene:
