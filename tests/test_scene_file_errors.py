@@ -302,7 +302,7 @@ def test_an_error_names_file_line_key_and_remedy(written, old, new, message):
         ('kind = "my_laws.py:Viscous"', "'my_laws.py:Viscous' is no force; derive a class from AbstractForce"),
         ('kind = "my_lows.py:Magnet"', "there is no file"),
         ('kind = "no_such_module:Magnet"', "no module 'no_such_module' is imported, and a scene file imports none"),
-        ('kind = "spherejax:AbstractForce"', "is abstract; it lacks wrenches"),
+        ('kind = "spherejax.forces:AbstractForce"', "is abstract; it lacks wrenches"),
         ('kind = "applied-wrench"\nbody = "uper"', "there is no body 'uper'; did you mean 'upper'?"),
         ('kind = "applied-wrench"\nbody = ["upper"]', "['upper'] is no body's name"),
         ('kind = "applied-wrench"\nbody = "upper"\nin_body_axes = "yes"', "'yes' is not true or false"),

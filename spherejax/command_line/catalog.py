@@ -68,10 +68,10 @@ ELASTOMERS = Parts.of_laws("physics/laws/elastomer.py", ending="Elastomer")
 
 DRIFT_CONTROLS = Parts(
     {
-        "baumgarte": "spherejax:Baumgarte",
-        "projection": "spherejax:Projection",
-        "post-stabilization": "spherejax:PostStabilization",
-        "none": "spherejax:NoDriftControl",
+        "baumgarte": "spherejax.solvers:Baumgarte",
+        "projection": "spherejax.solvers:Projection",
+        "post-stabilization": "spherejax.solvers:PostStabilization",
+        "none": "spherejax.solvers:NoDriftControl",
     },
     {
         "baumgarte": "feedback of the violations in the equations, alpha = beta = 5 1/s",
