@@ -651,6 +651,34 @@ def inverse_dynamics() -> Figure:
     return figure
 
 
+def gears() -> Figure:
+    """The wheel that rattles between the flanks of its pinion, for two strengths of the vibration."""
+    ts = jnp.linspace(0.0, 0.2, 4001)
+    figure, panels = plt.subplots(
+        2,
+        2,
+        figsize=(8.4, 4.8),
+        sharex=True,
+        sharey="row",
+        layout="constrained",
+        height_ratios=(3, 2),
+    )
+    for (upper, lower), amplitude in zip(panels.T, (0.002, 0.02), strict=True):
+        scene = sj.gallery.rattling_gears(amplitude=amplitude, drag=0.02)
+        mesh = sj.simulate(scene, ts, rtol=1e-7).force("mesh")
+        upper.axhspan(-100, 100, color="0.93", linewidth=0)
+        upper.plot(1e3 * ts, 1e6 * mesh["lag"], color=LINES[1], linewidth=1.0)
+        lower.plot(1e3 * ts, mesh["force"], color="black", linewidth=0.8)
+        upper.set_title(
+            f"vibration of {1e3 * amplitude:g} mrad", loc="left", fontsize=9
+        )
+        lower.set_xlabel("t [ms]")
+        upper.margins(x=0)
+    panels[0, 0].set_ylabel("lag u [µm]")
+    panels[1, 0].set_ylabel("force on the wheel [N]")
+    return figure
+
+
 PICTURES: dict[str, Callable[[], Figure | Image.Image]] = {
     "four_bar": four_bar,
     "accelerations": accelerations,
@@ -672,6 +700,7 @@ PICTURES: dict[str, Callable[[], Figure | Image.Image]] = {
     "report": report,
     "suspension_over_bump": suspension,
     "wear": wear,
+    "gears": gears,
     "inverse_dynamics": inverse_dynamics,
     **{f"scene_{name}": scene(name) for name in sj.gallery.__all__},
 }

@@ -5,6 +5,7 @@ from .physics.forces.base import AbstractForce, Wrench
 from .physics.forces.bump_stop import BumpStop
 from .physics.forces.controllers import PID
 from .physics.forces.coupler import AbstractCoordinate, Coupler, Travel, Turn
+from .physics.forces.gear import Gear
 from .physics.forces.remembering import AbstractForceWithMemory, ForceAction, Instants, Sampling
 from .physics.forces.sampled_pid import SampledPID
 from .physics.forces.spring_damper import ShockAbsorber, SpringDamper
@@ -24,6 +25,7 @@ __all__ = [
     "Coupler",
     "Extension",
     "ForceAction",
+    "Gear",
     "Instants",
     "MemoryEntry",
     "Requirement",

@@ -56,6 +56,19 @@ CONSERVATIVE: dict[str, sj.forces.AbstractForce] = {
     "stop, both": sj.forces.BumpStop(ENDS, shortest=0.35, longest=0.5, stiffness=1e3, spring=table(), direction=UP),
     "torsional stop": sj.forces.TorsionalStop(("first", "second"), (1.0, 2.0, 2.0), -0.2, 0.1, 8.0, onset=0.1),
     "torsional stop by table": sj.forces.TorsionalStop(("ground", "second"), UP, largest=-0.3, spring=table()),
+    "gear": sj.forces.Gear(
+        sj.Turn(("ground", "first"), UP, 0.3), sj.Turn(("first", "second"), (1.0, 2.0, 2.0)), -0.7, 0.1, 40.0
+    ),
+    "gear with teeth": sj.forces.Gear(
+        sj.Turn(("ground", "second"), UP),
+        sj.Travel(ENDS, (1.0, 0.3, 0.0)),
+        0.4,
+        0.02,
+        40.0,
+        offset=0.1,
+        profile=sj.functions.Sine(0.2, 1.0, offset=1.0),
+        pitch=0.3,
+    ),
     "coupler": sj.forces.Coupler(
         sj.Turn(("ground", "first"), UP, 0.3), sj.Turn(("first", "second"), (1.0, 2.0, 2.0)), -0.7, 40.0, offset=0.1
     ),
@@ -76,6 +89,19 @@ DAMPED: dict[str, sj.forces.AbstractForce] = {
         ENDS, sj.functions.Linear(2.0), table(), spring=table(2.0), free_length=0.3
     ),
     "torsion damper": sj.TorsionalSpring(("first", "second"), UP, 8.0, 2.0, damper=jnp.tanh),
+    "gear with losses": sj.forces.Gear(
+        sj.Travel(("ground", "first.eye"), UP),
+        sj.Travel(ENDS, (1.0, 0.3, 0.0)),
+        0.4,
+        0.1,
+        40.0,
+        3.0,
+        0.05,
+        efficiency=0.8,
+    ),
+    "gear with restitution": sj.forces.Gear(
+        sj.Turn(("ground", "first"), UP, 0.3), sj.Turn(("first", "second"), UP), -0.7, 0.1, 40.0, restitution=0.6
+    ),
     "coupler with damping": sj.forces.Coupler(
         sj.Travel(("ground", "first.eye"), UP), sj.Travel(ENDS, (1.0, 0.3, 0.0)), 0.4, 40.0, 3.0
     ),

@@ -111,6 +111,8 @@ ARGUMENTS = {
         "damper",
     ),
     sj.forces.Coupler: ("first", "second", "ratio", "stiffness", "damping", "offset"),
+    sj.forces.Gear: ("first", "second", "ratio", "backlash", "stiffness", "damping", "onset", "offset"),
+    sj.inverse_dynamics: ("scene", "motion", "motors", "friction"),
     sj.Turn: ("bodies", "axis", "radius"),
     sj.Travel: ("ends", "direction"),
     sj.Body.from_mesh: ("mesh", "unit", "mass", "density", "position", "quaternion", "points"),

@@ -434,6 +434,21 @@ FORCES = [
     ),
     sj.forces.TorsionalStop(BOTH, AXIS, largest=7.0, stiffness=1e3, restitution=0.7, transition=0.02),
     sj.forces.Coupler(sj.Turn(BOTH, AXIS, 0.2), sj.Travel(("ground.hook", "a.tip"), AXIS), -0.5, 1e3, 2.0, 0.01),
+    sj.forces.Gear(
+        sj.Turn(BOTH, AXIS), sj.Travel(("ground.hook", "a.tip"), AXIS), 0.1, 1e-3, 1e3, 2.0, 1e-4, efficiency=0.9
+    ),
+    sj.forces.Gear(
+        sj.Turn(BOTH, AXIS),
+        sj.Turn(BOTH, AXIS),
+        -0.5,
+        1e-3,
+        1e3,
+        restitution=0.7,
+        transition=0.02,
+        profile=sj.functions.Sine(0.1, 1.0, offset=1.0),
+        pitch=0.3,
+        loss_rate=0.02,
+    ),
     sj.forces.Tyre(
         "a.tip", 0.3, 1e5, 10.0, 1e-3, road=sj.functions.Bump(0.1, 1.0, 2.0), speed=5.0, normal_to_road=True
     ),

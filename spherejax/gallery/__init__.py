@@ -11,6 +11,7 @@ from spherejax.gallery.leg import leg
 from spherejax.gallery.n_four_bar import n_four_bar
 from spherejax.gallery.pendulums import double_pendulum, heavy_top, physical_pendulum, simple_pendulum
 from spherejax.gallery.piston import piston
+from spherejax.gallery.rattling_gears import rattling_gears
 from spherejax.gallery.slider_crank import slider_crank
 from spherejax.gallery.suspension import suspension
 from spherejax.gallery.wheel_suspensions import double_wishbone, mcpherson
@@ -31,6 +32,7 @@ __all__ = [
     "n_four_bar",
     "physical_pendulum",
     "piston",
+    "rattling_gears",
     "simple_pendulum",
     "slider_crank",
     "suspension",

@@ -9,7 +9,7 @@ import numpy as np
 
 from spherejax.output.plot.camera import Camera
 from spherejax.output.plot.mechanism import Mechanism, MechanismPose
-from spherejax.output.plot.reading import force_places
+from spherejax.output.plot.reading import force_places, pitch_circles
 from spherejax.output.plot.shapes import body_strokes, triad_strokes
 from spherejax.output.plot.strokes import CIRCLE, GROUND_COLOR, PAPER, Stroke, arrow_outline, ground_marks
 from spherejax.output.plot.symbols import joint_strokes
@@ -21,12 +21,14 @@ from spherejax.physics.kinematics import BodyMotion
 
 
 def force_strokes(name: str, mechanism: Mechanism, pose: MechanismPose, camera: Camera, s: float) -> list[Stroke]:
-    """A force element: a tyre on its road, a zigzag or a motor between two points, a spiral, or arrows of forces."""
+    """A force element: a tyre, a zigzag or a motor between two points, a spiral, pitch circles, or arrows of forces."""
     force = mechanism.forces[name]
     if isinstance(force, Tyre):
         strokes = _tyre(force, pose, camera)
     elif isinstance(force, AbstractTorsionalForce):
         strokes = _spiral(force, mechanism, pose, camera, s)
+    elif circles := pitch_circles(force, mechanism):
+        strokes = _pitch_circles(circles, pose, camera)
     elif len(places := force_places(force)) == 2:
         strokes = _line_element(name, places, pose, camera, s, force.is_motor)
     else:
@@ -73,6 +75,14 @@ def _spiral(
     angle = np.linspace(0, 5 * np.pi, 81)
     spiral = s * (1.3 + 1.2 * angle / angle[-1])[:, None] * np.stack([np.cos(angle), np.sin(angle)], -1)
     return [Stroke(camera.project(at) + spiral, camera.depth(at), FORCE_COLOR, 1.0)]
+
+
+def _pitch_circles(circles: list, pose: MechanismPose, camera: Camera) -> list[Stroke]:
+    strokes = []
+    for body, place, ring in circles:
+        line = pose.point(body, place + ring)
+        strokes.append(Stroke(camera.project(line), camera.depth(line), FORCE_COLOR, 1.4, FORCE_COLOR, 0.06))
+    return strokes
 
 
 def forces_on_bodies(name: str, force: Any, pose: MechanismPose) -> list[tuple[np.ndarray, np.ndarray]]:

@@ -19,6 +19,7 @@ from spherejax.motion.results.trajectory import Trajectory
 from spherejax.motion.start.assembly import assemble_now
 from spherejax.output.plot.mechanism import DrawnBody, DrawnJoint, Mechanism
 from spherejax.physics.bodies import GROUND, Body
+from spherejax.physics.forces.coupler import Turn
 from spherejax.physics.joints.curves import Circle
 from spherejax.physics.state import Layout, unpack
 
@@ -119,6 +120,28 @@ def force_places(force: Any) -> list[tuple[str, np.ndarray]]:
     if not isinstance(places, Sequence) or len(places) != len(bodies):
         return []
     return [(body, np.asarray(place, float)) for body, place in zip(bodies, places, strict=True)]
+
+
+def pitch_circles(force: Any, mechanism: Any) -> list[tuple[str, np.ndarray, np.ndarray]]:
+    """The pitch circle of each wheel of a pair of gears, as (body, its center there [m], points about the center).
+
+    Of each coordinate that is an angle on a radius, about the joint between its two bodies, in the axes of the first.
+    """
+    found = []
+    for turn in (getattr(force, "first", None), getattr(force, "second", None)):
+        if not isinstance(turn, Turn) or turn.radius is None or turn.attachment is None:
+            continue
+        first = turn.bodies[0]
+        joint = next((one for one in mechanism.joints.values() if set(one.bodies) == set(turn.bodies)), None)
+        if joint is None:
+            continue
+        axis = np.asarray(turn.attachment.axis, float)
+        across = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+        across /= np.linalg.norm(across)
+        angle = np.linspace(0.0, 2 * np.pi, 73)[:, None]
+        ring = float(np.asarray(turn.radius)) * (np.cos(angle) * across + np.sin(angle) * np.cross(axis, across))
+        found.append((first, np.asarray(joint.places[joint.bodies.index(first)], float), ring))
+    return found
 
 
 def _distinct(points: list[np.ndarray]) -> list[np.ndarray]:

@@ -16,7 +16,7 @@ from matplotlib.transforms import ScaledTranslation
 from spherejax.output.plot.camera import Camera, axis_name
 from spherejax.output.plot.elements import mechanism_strokes
 from spherejax.output.plot.mechanism import Mechanism, MechanismPose
-from spherejax.output.plot.reading import force_places
+from spherejax.output.plot.reading import force_places, pitch_circles
 from spherejax.output.plot.shapes import AXIS_COLORS
 from spherejax.output.plot.strokes import INK, Stroke
 from spherejax.output.plot.style import dress
@@ -71,6 +71,7 @@ def drawn_points(mechanism: Mechanism, poses: Sequence[MechanismPose]) -> np.nda
             found.extend(pose.point(body, place)[None] for body, place in zip(joint.bodies, joint.places, strict=True))
         for force in mechanism.forces.values():
             found.extend(pose.point(body, place)[None] for body, place in force_places(force))
+            found.extend(pose.point(body, place + ring) for body, place, ring in pitch_circles(force, mechanism))
             if isinstance(force, Tyre):
                 around = float(np.asarray(force.radius)) * np.array(np.meshgrid(*3 * [[-1.0, 1.0]])).reshape(3, -1).T
                 found.append(pose.point(force.center.partition(".")[0], np.asarray(force.place, float) + around))

@@ -14,7 +14,7 @@ from matplotlib.colors import to_hex
 
 from spherejax.output.plot.elements import FORCE_COLOR, forces_on_bodies
 from spherejax.output.plot.mechanism import DrawnBody, DrawnJoint, Mechanism, MechanismPose
-from spherejax.output.plot.reading import force_places
+from spherejax.output.plot.reading import force_places, pitch_circles
 from spherejax.output.plot.shapes import bars_of
 from spherejax.output.plot.strokes import CIRCLE, GROUND_COLOR, INK, PAPER
 from spherejax.output.plot.symbols import DRIVER_COLOR, model_color, perpendiculars
@@ -263,7 +263,7 @@ class _Maker:
     # Forces ------------------------------------------------------------------------------------------------------
 
     def force(self, name: str, force: Any, mechanism: Mechanism) -> Iterator[Shape]:
-        """A force element: a tyre, a zigzag or a motor between two points, a spiral, or nothing.
+        """A force element: a tyre, a zigzag or a motor between two points, a spiral, pitch circles, or nothing.
 
         Roads and arrows are tracks.
         """
@@ -277,6 +277,9 @@ class _Maker:
             second = force.bodies[1] if force.bodies[1] != GROUND else force.bodies[0]
             body, at = (second, np.zeros(3)) if joint is None else (joint.bodies[0], joint.places[0])
             yield self._shape("spiral", body, at, radius=2.5 * self.s, edge=FORCE_COLOR)
+        elif circles := pitch_circles(force, mechanism):
+            for body, at, ring in circles:
+                yield self._shape("face", body, at, ring, edge=FORCE_COLOR, face=FORCE_COLOR, alpha=0.06, width=1.4)
         elif len(places := force_places(force)) == 2:
             for body, at in places:
                 if body == GROUND:

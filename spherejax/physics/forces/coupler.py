@@ -308,11 +308,7 @@ class Coupler(AbstractForce):
         """Of both coordinates, added up where they share a body."""
         del t
         force = self._press(motions)[2]
-        found = dict(self.first.wrenches(motions, self.ratio * force))
-        for name, wrench in self.second.wrenches(motions, -force).items():
-            there = found.get(name, Wrench(jnp.zeros(3), jnp.zeros(3)))
-            found[name] = Wrench(there.force + wrench.force, there.moment + wrench.moment)
-        return found
+        return coupled_wrenches(self.first, self.second, motions, self.ratio * force, -force)
 
     def potential_energy(self, t, motions):
         """k u^2/2 [J]."""
@@ -333,12 +329,9 @@ class Coupler(AbstractForce):
 
     def requirements(self) -> list[Requirement]:
         """Two coordinates, k >= 0, c >= 0, finite numbers."""
-        rows, units = [], self.unit_words(self.first, self.second)
-        for field in ("first", "second"):
-            of_one = getattr(self, field).requirements()
-            rows += [required._replace(field=f"{field}.{required.field}") for required in of_one]
+        units = self.unit_words(self.first, self.second)
         return [
-            *rows,
+            *coupled_requirements(self.first, self.second),
             finite("ratio", self.ratio),
             non_negative("stiffness", self.stiffness, units["stiffness"]),
             non_negative("damping", self.damping, units["damping"]),
@@ -349,6 +342,26 @@ class Coupler(AbstractForce):
     def body_names(self) -> tuple[str, ...]:
         """The bodies of both coordinates, each once."""
         return tuple(dict.fromkeys((*self.first.body_names, *self.second.body_names)))
+
+
+def coupled_wrenches(
+    first: AbstractCoordinate, second: AbstractCoordinate, motions: Motions, on_first: Scalar, on_second: Scalar
+) -> dict[str, Wrench]:
+    """Wrenches of an effort along each of two coordinates [N or N m], added up where they share a body."""
+    found = dict(first.wrenches(motions, on_first))
+    for name, wrench in second.wrenches(motions, on_second).items():
+        there = found.get(name, Wrench(jnp.zeros(3), jnp.zeros(3)))
+        found[name] = Wrench(there.force + wrench.force, there.moment + wrench.moment)
+    return found
+
+
+def coupled_requirements(first: AbstractCoordinate, second: AbstractCoordinate) -> list[Requirement]:
+    """Those of two coordinates, in the fields `first` and `second`."""
+    return [
+        required._replace(field=f"{field}.{required.field}")
+        for field, coordinate in (("first", first), ("second", second))
+        for required in coordinate.requirements()
+    ]
 
 
 def known_geometry(part):

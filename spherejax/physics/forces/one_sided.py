@@ -99,7 +99,7 @@ class OneSided(eqx.Module):
             resisting = resisting + self.damper(rate)
         holding = linear + value
         if self.restitution is not None:
-            holding = holding * (1.0 + _hysteresis(self.restitution) * _smooth_sign(rate, jnp.asarray(self.transition)))
+            holding = holding * (1.0 + _hysteresis(self.restitution) * smooth_sign(rate, jnp.asarray(self.transition)))
         total = holding + smooth_rise(p, jnp.asarray(self.onset)) * resisting
         return Press(
             jnp.where(touching & (total > 0), total, 0.0),
@@ -276,7 +276,7 @@ def _hysteresis(restitution: Number) -> Scalar:
     return (1.0 - square) / (1.0 + square)
 
 
-def _smooth_sign(rate: Scalar, width: Scalar) -> Scalar:
+def smooth_sign(rate: Scalar, width: Scalar) -> Scalar:
     """-1 below -width, 1 above width, u (3 - u^2)/2 with u = rate/width between."""
     return 2.0 * smooth_rise(rate + width, 2.0 * width) - 1.0
 
