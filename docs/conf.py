@@ -21,6 +21,7 @@ extensions = [
     "result_tables",
     "scene_gallery",
     "floors",
+    "run_files",
     "public_names",
     "notebooks",
 ]

@@ -92,7 +92,7 @@ def scene_accelerations(scene: sj.Scene) -> dict[str, np.ndarray]:
     from spherejax.model.system import flatten_system
     from spherejax.motion.equations.dynamics import state_rate
     from spherejax.motion.equations.programs import program_for
-    from spherejax.motion.integration.plan import initial_state
+    from spherejax.motion.integration.problem import initial_state
     from spherejax.motion.start.start_now import known_start
 
     system = sj.equations.compile_scene(scene).system

@@ -175,3 +175,29 @@ def test_lowest_versions_are_declared_and_forms_can_be_read():
         assert yaml.safe_load(path.read_text()), path
     for path in sorted((ROOT / ".ci").iterdir()):
         subprocess.run(["bash", "-n", str(path)], check=True)
+
+
+# The life of a run ---------------------------------------------------------------------------------------------------
+
+run_files = program("extensions/run_files")
+LIFE = (DOCS / "develop" / "life_of_a_run.md").read_text()
+
+
+def test_a_run_reads_in_fifteen_files():
+    assert len(run_files.files_on(LIFE)) <= 15
+    assert len(LIFE.splitlines()) <= 70
+
+
+def test_files_of_a_run_are_drawn_from_above_to_below():
+    """The entry first; each imports only files below it, and the numbers are those of its import statements."""
+    drawn = run_files.drawn_from(LIFE)
+    assert drawn.floors[0] == "motion/runs/simulate.py"
+    assert set(drawn.floors) == set(run_files.files_on(LIFE))
+    for one, other in drawn.imports:
+        assert drawn.floors.index(one) < drawn.floors.index(other)
+    engine, stages = "motion/integration/lanes/engine.py", "motion/integration/lanes/stages.py"
+    assert drawn.imports[engine, stages] == 1
+    assert f"{engine} imports" in floors.words(drawn)
+    assert floors.svg(drawn, run_files.NAMES, run_files.SHAFT).count("<circle") == len(drawn.floors) - 1 - sum(
+        not any(one == name for one, _ in drawn.imports) for name in drawn.floors[:-1]
+    )

@@ -9,7 +9,7 @@ import pytest
 import spherejax as sj
 from spherejax.model.system import flatten_system
 from spherejax.motion.equations.programs import program_for
-from spherejax.motion.integration.plan import initial_state
+from spherejax.motion.integration.problem import initial_state
 from spherejax.motion.start.equilibrium import rest_conditions
 from spherejax.motion.start.start_now import start_now
 

@@ -17,7 +17,7 @@ from spherejax.motion.equations.constraints import constrained_accelerations, co
 from spherejax.motion.equations.loads import applied_wrenches, joint_loads
 from spherejax.motion.equations.programs import program_for
 from spherejax.motion.equations.quantities import quantity
-from spherejax.motion.integration.plan import Parameters
+from spherejax.motion.integration.problem import Parameters
 from spherejax.motion.solvers.implicit import systems_of
 from spherejax.motion.start.assembly import as_ideal, assemble_now
 from spherejax.physics.state import unpack

@@ -17,7 +17,7 @@ from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import made_program, path_of, program_for
 from spherejax.motion.integration import compiling
 from spherejax.motion.integration.longest_step import longest_step
-from spherejax.motion.integration.plan import Plan, initial_state
+from spherejax.motion.integration.problem import Plan, initial_state
 from spherejax.motion.solvers.automatic import choose_solver
 from spherejax.motion.start.start_now import start_now
 

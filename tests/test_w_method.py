@@ -13,7 +13,7 @@ import spherejax as sj
 from spherejax.model.system import compile_scene, flatten_system
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for
-from spherejax.motion.integration.plan import Parameters
+from spherejax.motion.integration.problem import Parameters
 from spherejax.motion.solvers.implicit import inexact_systems_of, systems_of, with_structure
 from spherejax.motion.solvers.low_rank import inexact_product, solve_inexact_stage
 from spherejax.motion.solvers.rosenbrock_tableaus import ROS34PW2

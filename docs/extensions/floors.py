@@ -119,10 +119,16 @@ STOREY, NAMES, SHAFT = 46, 196, 50
 """Height of a storey, width of the names, and from shaft to shaft, in pixels."""
 
 
-def svg(drawn: House) -> str:
-    """The picture, in the color of the text around it."""
+def svg(drawn: House, names: int = NAMES, between: int = SHAFT) -> str:
+    """The picture, in the color of the text around it.
+
+    Args:
+        drawn: what is drawn.
+        names: width of the names.
+        between: from shaft to shaft.
+    """
     floors, n = drawn.floors, len(drawn.floors)
-    width, height = NAMES + SHAFT * (n - 1) + 26, STOREY * n + 2
+    width, height = names + between * (n - 1) + 26, STOREY * n + 2
     parts = [
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="{height}" viewBox="0 0 {width} {height}" '
         'role="img" font-family="inherit" fill="currentColor" stroke="none">',
@@ -131,7 +137,11 @@ def svg(drawn: House) -> str:
     for row, name in enumerate(floors):
         y = 1 + row * STOREY
         n_files, n_lines = drawn.sizes[name]
-        size = f"{n_files} file{'s' if n_files != 1 else ''}, {n_lines:,} lines"
+        size = (
+            f"{n_lines:,} lines"
+            if n_files == 1
+            else f"{n_files} files, {n_lines:,} lines"
+        )
         parts += [
             f'<rect x="1" y="{y}" width="{width - 2}" height="{STOREY}" fill="currentColor" '
             f'fill-opacity="{0.07 if row % 2 else 0.02}" stroke="currentColor" stroke-opacity="0.35"/>',
@@ -141,13 +151,12 @@ def svg(drawn: House) -> str:
             text_at(12, y + 37, size, 'font-size="11.5" fill-opacity="0.75"'),
         ]
     for row, name in enumerate(floors[:-1]):
-        parts += shaft(drawn, row, name)
+        parts += shaft(drawn, row, name, names + between * row)
     return "\n".join([*parts, "</svg>"])
 
 
-def shaft(drawn: House, row: int, name: str) -> list[str]:
+def shaft(drawn: House, row: int, name: str, x: float) -> list[str]:
     """From a floor down to the lowest one that it imports, with a number at each that it imports."""
-    x = NAMES + SHAFT * row
     stops = [
         (below, drawn.imports[name, other])
         for below, other in enumerate(drawn.floors)
@@ -165,8 +174,9 @@ def shaft(drawn: House, row: int, name: str) -> list[str]:
         y = middle(below)
         parts += [
             f'<path d="M{x - 5} {y - 8} L{x + 5} {y - 8} L{x} {y + 2} Z"/>',
-            text_at(x + 8, y + 4, str(count), 'font-size="12.5"'),
         ]
+        if max(drawn.imports.values()) > 1:
+            parts.append(text_at(x + 8, y + 4, str(count), 'font-size="12.5"'))
     return parts
 
 

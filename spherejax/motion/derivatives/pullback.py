@@ -42,12 +42,12 @@ from spherejax.motion.integration.implicit_rows import differentiable_solver
 from spherejax.motion.integration.jobs import Job, JobKind, with_slopes
 from spherejax.motion.integration.lanes import Block, LaneProblem, StepLog, steps_in_lanes
 from spherejax.motion.integration.lanes.stages import explicit_tableau, own_time
-from spherejax.motion.integration.method import RunMethod
 from spherejax.motion.integration.one_run import lane_job
-from spherejax.motion.integration.plan import (
+from spherejax.motion.integration.problem import (
     Parameters,
     Plan,
     RunInputs,
+    RunMethod,
     beginning,
     contacts_of,
     correction_for,

@@ -23,9 +23,8 @@ from spherejax.motion.derivatives.through_touches import any_jump, warn_of_rosen
 from spherejax.motion.equations.contacts import kinks_of
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for
-from spherejax.motion.integration.method import RunMethod
 from spherejax.motion.integration.one_run import differentiable_slopes, run_and_slopes, run_of
-from spherejax.motion.integration.plan import Outcome, Plan, RunInputs, contacts_of
+from spherejax.motion.integration.problem import Outcome, Plan, RunInputs, RunMethod, contacts_of
 from spherejax.motion.integration.sensitivity_rows import with_start_time
 from spherejax.motion.integration.status import Status
 from spherejax.motion.start.assembly import Assembly

@@ -22,10 +22,10 @@ from spherejax.motion.integration.compiling import in_machine_code
 from spherejax.motion.integration.implicit_rows import rows_with_fixed_matrix, slack_of, solver_of_rows
 from spherejax.motion.integration.lanes import LaneOutcome, LaneProblem
 from spherejax.motion.integration.longest_step import longest_step
-from spherejax.motion.integration.method import RunMethod
-from spherejax.motion.integration.plan import (
+from spherejax.motion.integration.problem import (
     Parameters,
     Plan,
+    RunMethod,
     audit_of,
     beginning,
     contacts_of,

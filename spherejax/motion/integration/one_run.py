@@ -33,8 +33,7 @@ from spherejax.motion.integration.lanes.windows import (
     run_loop,
     window_at,
 )
-from spherejax.motion.integration.method import RunMethod
-from spherejax.motion.integration.plan import Outcome, Plan, RunInputs, stages_of
+from spherejax.motion.integration.problem import Outcome, Plan, RunInputs, RunMethod, stages_of
 from spherejax.motion.integration.row_blocks import as_numbers, placed_rows
 from spherejax.motion.integration.widths import block_for
 from spherejax.motion.solvers.joint_rates import fastest_in_clearance

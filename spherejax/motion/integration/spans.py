@@ -20,8 +20,7 @@ from spherejax.motion.integration.audit import Audit
 from spherejax.motion.integration.jobs import JobKind, RunNumbers
 from spherejax.motion.integration.lanes import LaneOutcome, LaneProblem, run_in_lanes
 from spherejax.motion.integration.longest_step import STEPS_AT_LEAST
-from spherejax.motion.integration.method import RunMethod
-from spherejax.motion.integration.plan import Parameters, Plan
+from spherejax.motion.integration.problem import Parameters, Plan, RunMethod
 from spherejax.motion.integration.sensitivity_rows import linearized
 from spherejax.motion.integration.status import Status
 from spherejax.motion.integration.widths import block_for

@@ -6,8 +6,7 @@ from jaxtyping import Float
 
 from spherejax.foundations.errors import SceneError
 from spherejax.model.system import System, flatten_by_factor
-from spherejax.motion.integration.method import RunMethod
-from spherejax.motion.integration.plan import Plan
+from spherejax.motion.integration.problem import Plan, RunMethod
 from spherejax.motion.integration.spans import Jobs, over_spans
 from spherejax.motion.integration.status import Status
 from spherejax.motion.settings import RunSettings

@@ -21,12 +21,12 @@ from spherejax.motion.equations.programs import program_for
 from spherejax.motion.integration.audit import Audit
 from spherejax.motion.integration.compiling import options_for_stiff
 from spherejax.motion.integration.longest_step import longest_step
-from spherejax.motion.integration.method import RunMethod
-from spherejax.motion.integration.plan import (
+from spherejax.motion.integration.problem import (
     Outcome,
     Parameters,
     Plan,
     RunInputs,
+    RunMethod,
     audit_of,
     beginning,
     contacts_of,

@@ -19,8 +19,7 @@ from spherejax.foundations.lanes import rows_at
 from spherejax.model.system import flatten_system, split, with_laws_by_factor
 from spherejax.motion.derivatives.sensitivities import integrate_with_sensitivities
 from spherejax.motion.equations.contacts import abrupt_contacts
-from spherejax.motion.integration.method import RunMethod
-from spherejax.motion.integration.plan import Plan, RunInputs
+from spherejax.motion.integration.problem import Plan, RunInputs, RunMethod
 from spherejax.motion.integration.status import SimulationError, Status
 from spherejax.motion.results.global_error import repeated
 from spherejax.motion.results.motion_state import MotionState

@@ -34,9 +34,8 @@ from spherejax.foundations.checks import is_concrete, is_tracing
 from spherejax.foundations.errors import SceneError
 from spherejax.model.system import System, flatten_by_factor
 from spherejax.motion.equations.quantities import quantity
-from spherejax.motion.integration.method import RunMethod
 from spherejax.motion.integration.one_run import run_of
-from spherejax.motion.integration.plan import Plan, RunInputs
+from spherejax.motion.integration.problem import Plan, RunInputs, RunMethod
 from spherejax.motion.integration.status import Status
 from spherejax.motion.results.accuracy import POSITIONS
 from spherejax.motion.settings import RunSettings

@@ -21,8 +21,7 @@ from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for
 from spherejax.motion.integration.jobs import JobKind, RunNumbers
 from spherejax.motion.integration.lanes import LaneOutcome, StepLog, steps_in_lanes
-from spherejax.motion.integration.method import RunMethod
-from spherejax.motion.integration.plan import Parameters, Plan
+from spherejax.motion.integration.problem import Parameters, Plan, RunMethod
 from spherejax.motion.integration.row_blocks import in_blocks
 from spherejax.motion.integration.status import Status
 from spherejax.motion.integration.widths import block_for

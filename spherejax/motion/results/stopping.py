@@ -26,7 +26,7 @@ from spherejax.foundations.forms import real_number
 from spherejax.foundations.types import Flag, Scalar
 from spherejax.motion.equations.programs import program_for
 from spherejax.motion.equations.quantities import quantity, values_of
-from spherejax.motion.integration.plan import Plan
+from spherejax.motion.integration.problem import Plan
 from spherejax.motion.integration.status import Status
 from spherejax.motion.results.between import states_at
 from spherejax.motion.results.motion_state import MotionState

@@ -25,7 +25,7 @@ from spherejax.foundations.numerics import safe_norm
 from spherejax.foundations.types import Flag, Scalar
 from spherejax.motion.equations.programs import program_for
 from spherejax.motion.equations.quantities import quantity
-from spherejax.motion.integration.plan import Plan
+from spherejax.motion.integration.problem import Plan
 from spherejax.motion.results.between import states_at
 from spherejax.motion.results.impacts import FINE_WEIGHTS, LARGEST_RISE, Peak, magnitudes_of
 from spherejax.motion.results.steps import SHARES, Repetition, repeated_in_steps

@@ -15,8 +15,7 @@ from jaxtyping import Array, Float
 
 from spherejax.foundations.types import Flag, Scalar
 from spherejax.model.system import flatten_by_factor
-from spherejax.motion.integration.method import RunMethod
-from spherejax.motion.integration.plan import Plan
+from spherejax.motion.integration.problem import Plan, RunMethod
 from spherejax.motion.integration.status import Status
 from spherejax.motion.results.steps import Repetition, repeatable
 

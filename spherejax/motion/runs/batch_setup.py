@@ -14,8 +14,7 @@ from spherejax.motion.equations.programs import path_of
 from spherejax.motion.integration.compiling import in_machine_code
 from spherejax.motion.integration.jobs import Job, JobKind, job_of, statistics, with_slopes
 from spherejax.motion.integration.lanes import Block, LaneOutcome, LaneProblem
-from spherejax.motion.integration.method import RunMethod, audit_limits
-from spherejax.motion.integration.plan import Plan, stages_of
+from spherejax.motion.integration.problem import Plan, RunMethod, audit_limits, stages_of
 from spherejax.motion.integration.sensitivity_rows import scales_of
 from spherejax.motion.results.trajectory import Trajectory
 from spherejax.motion.runs.simulate import tolerances_of, traced_times

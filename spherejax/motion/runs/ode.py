@@ -27,7 +27,7 @@ from spherejax.motion.equations.programs import path_of, program_for
 from spherejax.motion.equations.projection import corrected
 from spherejax.motion.equations.sampling import memory_after_samples, next_samples
 from spherejax.motion.equations.terms import Energies
-from spherejax.motion.integration.plan import initial_state
+from spherejax.motion.integration.problem import initial_state
 from spherejax.motion.integration.status import Status, start_status
 from spherejax.motion.start.assembly import Assembly, as_ideal, assemble
 from spherejax.motion.start.points_beside import points_beside

@@ -13,9 +13,8 @@ from spherejax.foundations.errors import SceneError
 from spherejax.model.scene import Scene
 from spherejax.model.system import System, compile_scene, flatten_system
 from spherejax.motion.equations.programs import path_of
-from spherejax.motion.integration.method import RunMethod
 from spherejax.motion.integration.one_run import run_of
-from spherejax.motion.integration.plan import Plan, RunInputs, initial_state
+from spherejax.motion.integration.problem import Plan, RunInputs, RunMethod, initial_state
 from spherejax.motion.results.trajectory import Trajectory
 from spherejax.motion.runs.simulate import choice_for
 from spherejax.motion.settings import DEFAULT_MAX_STEPS, RunSettings

@@ -23,9 +23,8 @@ from spherejax.motion.derivatives.refused import without_derivative
 from spherejax.motion.derivatives.sensitivities import integrate_with_sensitivities, through_kinks
 from spherejax.motion.equations.contacts import abrupt_contacts, kinks_of
 from spherejax.motion.integration.audit import cautions, parts_with_a_range
-from spherejax.motion.integration.method import RunMethod
 from spherejax.motion.integration.one_run import bound_run
-from spherejax.motion.integration.plan import Outcome, Plan, RunInputs
+from spherejax.motion.integration.problem import Outcome, Plan, RunInputs, RunMethod
 from spherejax.motion.integration.status import (
     OutOfRangeWarning,
     SimulationError,

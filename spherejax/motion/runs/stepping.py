@@ -26,9 +26,8 @@ from spherejax.model.system import System, example_of, flatten_by_factor, flatte
 from spherejax.motion.derivatives.sensitivities import depends_on_time, integrate_with_sensitivities
 from spherejax.motion.equations.contacts import abrupt_contacts
 from spherejax.motion.equations.programs import path_of
-from spherejax.motion.integration.method import RunMethod
 from spherejax.motion.integration.one_run import run_of
-from spherejax.motion.integration.plan import Plan, RunInputs, beginning
+from spherejax.motion.integration.problem import Plan, RunInputs, RunMethod, beginning
 from spherejax.motion.integration.status import SimulationError, SimulationWarning, Status, start_status
 from spherejax.motion.results.motion_state import MotionState
 from spherejax.motion.runs.continuation import reached, refuse_failed

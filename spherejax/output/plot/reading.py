@@ -14,7 +14,7 @@ from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.errors import SceneError
 from spherejax.model.scene import Scene
 from spherejax.model.system import System, compile_scene, flatten_system
-from spherejax.motion.integration.plan import as_ideal
+from spherejax.motion.integration.problem import as_ideal
 from spherejax.motion.results.trajectory import Trajectory
 from spherejax.motion.start.assembly import assemble_now
 from spherejax.output.plot.mechanism import DrawnBody, DrawnJoint, Mechanism

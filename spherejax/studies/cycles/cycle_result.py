@@ -10,7 +10,7 @@ from jaxtyping import Complex, Float
 from spherejax.foundations.errors import SceneError
 from spherejax.motion.equations.quantities import quantity
 from spherejax.motion.integration.jobs import statistics
-from spherejax.motion.integration.plan import stages_of
+from spherejax.motion.integration.problem import stages_of
 from spherejax.motion.integration.spans import Jobs
 from spherejax.motion.integration.status import SimulationError
 from spherejax.motion.results.trajectory import Trajectory

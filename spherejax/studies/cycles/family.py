@@ -17,8 +17,7 @@ from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import path_of, program_for
 from spherejax.motion.equations.projection import corrected
 from spherejax.motion.integration.lanes import LaneOutcome
-from spherejax.motion.integration.method import RunMethod
-from spherejax.motion.integration.plan import Plan
+from spherejax.motion.integration.problem import Plan, RunMethod
 from spherejax.motion.integration.spans import Jobs, over_spans
 from spherejax.motion.runs.simulate import choice_for, tolerances_of
 from spherejax.motion.runs.traced_functions import built, known_build

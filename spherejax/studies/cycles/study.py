@@ -13,7 +13,7 @@ from spherejax.foundations.forms import real_number, whole_number
 from spherejax.foundations.terminals import waiting_for
 from spherejax.model.scene import Scene
 from spherejax.model.system import compile_scene
-from spherejax.motion.integration.plan import initial_state
+from spherejax.motion.integration.problem import initial_state
 from spherejax.motion.integration.status import SimulationWarning, Status
 from spherejax.motion.results.trajectory import Trajectory
 from spherejax.motion.start.equilibrium import equilibrium

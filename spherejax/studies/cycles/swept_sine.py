@@ -15,7 +15,7 @@ from spherejax.foundations.terminals import waiting_for
 from spherejax.model.scene import Scene
 from spherejax.model.system import compile_scene
 from spherejax.motion.equations.quantities import quantity
-from spherejax.motion.integration.plan import initial_state
+from spherejax.motion.integration.problem import initial_state
 from spherejax.motion.start.equilibrium import equilibrium
 from spherejax.motion.start.start_now import start_now
 from spherejax.studies.cycles.cycle_result import Multipliers, coefficients, motions

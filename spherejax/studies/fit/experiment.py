@@ -22,9 +22,8 @@ from spherejax.motion.derivatives.sensitivities import names_of_kinks
 from spherejax.motion.derivatives.through_touches import check_derivatives
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import path_of, program_for
-from spherejax.motion.integration.method import RunMethod
 from spherejax.motion.integration.one_run import RunAndSlopes, run_and_slopes, run_of
-from spherejax.motion.integration.plan import Outcome, Plan, RunInputs
+from spherejax.motion.integration.problem import Outcome, Plan, RunInputs, RunMethod
 from spherejax.motion.integration.statistics import Statistics
 from spherejax.motion.integration.status import Status, diagnosis
 from spherejax.motion.results.trajectory import Trajectory

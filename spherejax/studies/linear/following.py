@@ -19,7 +19,7 @@ from jaxtyping import Float
 from spherejax.model.numbers import Number
 from spherejax.model.scene import Scene
 from spherejax.model.system import System, compile_scene, flatten_system
-from spherejax.motion.integration.plan import initial_state
+from spherejax.motion.integration.problem import initial_state
 from spherejax.motion.start.assembly import as_ideal, assemble, described_state
 from spherejax.motion.start.equilibrium import SINGULAR, resting_at
 from spherejax.motion.start.start_now import known_start

@@ -12,7 +12,7 @@ from spherejax.foundations.errors import SceneError
 from spherejax.foundations.forms import shape_of
 from spherejax.model.scene import Scene
 from spherejax.model.system import Structure, System, compile_scene, flatten_system
-from spherejax.motion.integration.plan import initial_state
+from spherejax.motion.integration.problem import initial_state
 from spherejax.motion.integration.state_at import state_at
 from spherejax.motion.results.trajectory import Trajectory
 from spherejax.motion.start.equilibrium import equilibrium

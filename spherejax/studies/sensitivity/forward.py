@@ -14,9 +14,8 @@ from spherejax.model.system import System, compile_scene, flatten_system, split
 from spherejax.motion.derivatives.through_touches import any_jump, warn_of_rosenbrock
 from spherejax.motion.equations.contacts import abrupt_contacts
 from spherejax.motion.equations.programs import path_of
-from spherejax.motion.integration.method import RunMethod
 from spherejax.motion.integration.one_run import run_and_slopes
-from spherejax.motion.integration.plan import Plan, RunInputs
+from spherejax.motion.integration.problem import Plan, RunInputs, RunMethod
 from spherejax.motion.integration.sensitivity_rows import scales_of
 from spherejax.motion.integration.statistics import Statistics
 from spherejax.motion.results.trajectory import Trajectory

@@ -9,7 +9,7 @@ import numpy as np
 from spherejax.motion.derivatives.pullback import gradient_of, warn_of_kinks
 from spherejax.motion.derivatives.sensitivities import names_of_kinks
 from spherejax.motion.integration.one_run import run_of
-from spherejax.motion.integration.plan import RunInputs
+from spherejax.motion.integration.problem import RunInputs
 from spherejax.motion.integration.sensitivity_rows import scales_of
 from spherejax.motion.integration.status import Status
 from spherejax.motion.settings import RunSettings
