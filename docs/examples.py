@@ -164,8 +164,8 @@ def compare(expected: str, printed: str, where: str) -> None:
 NUMBER = (
     r"(?<![\w.])[-+]?(?:\d{1,3}(?:,\d{3})+|\d+)(?:\.\d*)?(?:[eE][-+]?\d+)?(?![\w]*\d)"
 )
-SHOWN_NUMBER = re.compile("~?" + NUMBER + r"(?![\w.]*\.\.)")
-"""On a page; digits that go on in an ellipsis are text."""
+SHOWN_NUMBER = re.compile(r"(?!~0(?![\w.]))~?" + NUMBER + r"(?![\w.]*\.\.)")
+"""On a page; digits that go on in an ellipsis are text, and so is the `~` of a printed `~0`."""
 
 
 def pattern_of(expected: str) -> str:

@@ -15,6 +15,7 @@ from spherejax.output.plot.histories import four_histories
 from spherejax.output.plot.phase import phase_portraits
 from spherejax.output.plot.style import MODEL_COLORS, model_colors
 from spherejax.studies.cases import five_models, limit_studies, parameter_studies
+from spherejax.studies.subject import TableColumn
 from spherejax.studies.subjects.own import own_mechanism
 
 SPEED = 60.0
@@ -310,3 +311,14 @@ def test_a_bulk_of_equal_values_has_an_axis():
     limit_by_bulk(axes, [np.where(np.arange(1000) == 3, 700.0, -9.81)])
     low, high = axes.get_ylim()
     assert low < -9.81 < high < 0
+
+
+def test_what_is_rounding_is_shown_as_about_zero():
+    column = TableColumn("energy lost [mJ]", lambda row: row, rounding=1e-6)
+    assert [column.cell(x) for x in (-1e-8, 0.0, 1e-5, None, float("nan"))] == ["~0", "0", "1e-05", "-", "-"]
+
+
+def test_an_ideal_joint_loses_about_nothing(tmp_path, capsys):
+    assert cli.main(["run", "four-bar", "--joint", "ideal", "--t1", "0.05", "--out", str(tmp_path / "run.nc")]) == 0
+    (row,) = [line for line in capsys.readouterr().out.splitlines() if "energy lost" in line]
+    assert "~0 (rounding)" in row

@@ -280,11 +280,15 @@ def _peaks(run: sj.Trajectory, wanted: list[WantedQuantity]) -> list[tuple[str, 
 
 def _energies(run: sj.Trajectory) -> list[tuple[str, str]]:
     """What was put in, and what was lost: put in, or there at the start, and no longer there at the end."""
+    from spherejax.motion.results.energy_parts import ROUNDED_LOSS
+
     energy = np.asarray(run.mechanical_energy)
     put_in = float(np.asarray(run.supplied_work)[-1])
     lost = float(energy[0] - energy[-1]) + put_in
     unit, factor = ("J", 1.0) if max(abs(lost), abs(put_in)) >= 1.0 else ("mJ", 1e3)
-    rows = [(f"energy lost at the end [{unit}]", f"{factor * lost:.6g}")]
+    moved = max(float(np.max(np.asarray(run.kinetic_energy))), abs(put_in))
+    said = "~0 (rounding)" if 0 < abs(lost) < ROUNDED_LOSS * moved else f"{factor * lost:.6g}"
+    rows = [(f"energy lost at the end [{unit}]", said)]
     if run.system.tracks_supply:
         rows.insert(0, (f"work put in by drivers and forces [{unit}]", f"{factor * put_in:.6g}"))
     return rows

@@ -13,6 +13,7 @@ import diffrax
 import numpy as np
 
 from spherejax.model.scene import Scene
+from spherejax.motion.results.energy_parts import ROUNDED_LOSS
 from spherejax.motion.results.reported import Reported
 from spherejax.motion.results.trajectory import Trajectory
 from spherejax.output.plot.curves import Curves
@@ -32,6 +33,10 @@ SceneOf = Callable[[AbstractSphericalModel], Scene]
 """Makes the scene from the model of the studied joint."""
 
 
+ROUNDED_GAP = 1e-9
+"""Eccentricity by the reference length below which a joint is closed: 1e-13 m in a clearance of 0.1 mm."""
+
+
 class TableColumn(NamedTuple):
     """A column of the table of models.
 
@@ -39,17 +44,21 @@ class TableColumn(NamedTuple):
         head: for people, with unit.
         value: in the unit of the head, from a row; None where there is nothing to say.
         text: how it is printed: a format for numbers, or a function from the value to a text.
+        rounding: magnitude, in the unit of the head, below which a number is printed as `~0`.
     """
 
     head: str
     value: "Callable[[ModelRow], Any]"
     text: str | Callable[[Any], str] = ".4g"
+    rounding: float = 0.0
 
     def cell(self, row: "ModelRow") -> str:
         """What the table shows."""
         value = self.value(row)
         if callable(self.text):
             return self.text(value)
+        if value is not None and 0 < abs(value) < self.rounding:
+            return "~0"
         return "-" if value is None or value != value else f"{value:{self.text}}"
 
 
@@ -175,14 +184,16 @@ def usual_columns(comparison: "Comparison") -> "Sequence[TableColumn]":
     turns = any(one.turns for one in comparison.models.values())
     peak = f"peak {'angular ' if turns else ''}acceleration [{'rad' if turns else 'm'}/s^2]"
     unit, factor = ("mJ", 1e3) if _is_small([row.lost_energy for row in comparison.rows]) else ("J", 1.0)
+    moved = [float(np.nanmax(np.asarray(run.kinetic_energy), initial=0.0)) for run in comparison.runs.values()]
+    least_loss = ROUNDED_LOSS * max(moved, default=0.0)
     gap = f"{1e3 * subject.reference:.2f} mm" if subject.reference >= 1e-5 else f"{1e6 * subject.reference:.3g} um"
     of_rows = {name for row in comparison.rows for name in row.measures}
     measured = [_measured_column(name, unit, factor) for name in sorted(of_rows)]
     return (
-        TableColumn(f"energy lost [{unit}]", lambda row: factor * row.lost_energy),
+        TableColumn(f"energy lost [{unit}]", lambda row: factor * row.lost_energy, rounding=factor * least_loss),
         TableColumn(peak, lambda row: row.peak_acceleration),
         *measured,
-        TableColumn(f"max |e| / {gap}", lambda row: row.eccentricity_ratio),
+        TableColumn(f"max |e| / {gap}", lambda row: row.eccentricity_ratio, rounding=ROUNDED_GAP),
         TableColumn("onsets", lambda row: row.n_onsets, "d"),
         TableColumn("steps", lambda row: row.n_steps, ",d"),
         TableColumn("warm run [s]", lambda row: row.seconds, ".3g"),
