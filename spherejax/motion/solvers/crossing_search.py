@@ -114,6 +114,7 @@ def first_event(
             their velocity.
         bend_before: the bend of the step before, in fractions of this one; negative where it is not known.
     """
+    # A contact that lasts ends where its function becomes negative; with its sign turned every event is a rise.
     sign = jnp.where(was_touching, -1.0, 1.0)
     is_round = np.arange(was_touching.shape[0]).reshape(-1, *(1 for _ in passes.shape)) < n_round
 
@@ -121,6 +122,7 @@ def first_event(
         return _Look(x, sign * crossing.value, sign * crossing.rate, crossing.velocity)
 
     def is_certain(low: _Look, high: _Look, bend) -> Array:
+        # Two looks may miss a bend between them that the step before has had.
         bend = jnp.maximum(bend, bend_before)
         return jnp.all(_is_certain(low, high, bend, is_round, was_touching, window), axis=0)
 
@@ -129,6 +131,7 @@ def first_event(
     cubic = low.value, low.slope, high.value, high.slope
     fractions = crossing_fraction(*cubic, window)
     by_ends = jnp.min(fractions, axis=0)
+    # Of a flight whose accelerations are not known yet the ends say too little.
     is_known = is_certain(low, high, bend) & jnp.all(was_touching | (bend_before >= 0), axis=0)
     is_open = passes & ~is_known
 
@@ -139,6 +142,7 @@ def first_event(
         reached = is_certain(low, here, bend_now)
         is_beyond = jnp.any(here.value > 0, axis=0)
         is_event = reached & is_beyond
+        # The first crossing is sought: what is beyond bounds it from above, what is certain from below.
         stop_now = _chosen(is_beyond, here, stop)
         low_now = _chosen(reached, here, low)
         # What is left may be certain at once, with the end of the step or what is known to be beyond.
@@ -159,9 +163,11 @@ def first_event(
         return (search.n_looks < MOST_LOOKS) & jnp.any(search.is_open)
 
     none = jnp.zeros(passes.shape, bool)
+    # The first look is where the cubic through both ends crosses, or where it comes nearest to it.
     x0 = jnp.where(by_ends < 1, by_ends, _highest(cubic))
     begun = _Search(jnp.array(0), low, high, x0, bend, is_open, none)
     search = jax.lax.while_loop(goes_on, look, begun)
+    # A search that has used up its looks ends the step where it is certain, and makes some progress.
     x = jnp.where(search.found, search.x, jnp.maximum(search.low.x, LEAST_PROGRESS))
     x = jnp.where(passes, jnp.where(is_open, x, 1.0), by_ends)
     beyond = jnp.where(passes, search.stop.value > 0, fractions < 1)

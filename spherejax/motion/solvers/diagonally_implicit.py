@@ -101,6 +101,7 @@ def _coefficients(method: Any) -> ImplicitTableau | None:
     diagonal: Any = getattr(tableau, "a_diagonal", None)
     if not isinstance(tableau, diffrax.ButcherTableau) or diagonal is None:
         return None
+    # Stages with other factors would each need a factorization of their own.
     if len({*diagonal[1:]} | ({diagonal[0]} - {0.0})) > 1:
         return None
     n = len(tableau.b_sol)
@@ -111,6 +112,7 @@ def _coefficients(method: Any) -> ImplicitTableau | None:
             matrix[i, :i] = row
         return matrix
 
+    # The first stage of most methods is h f at the start, and needs no solve.
     is_explicit = diagonal[0] == 0
     instants = np.concatenate([[0.0 if tableau.c1 is None else tableau.c1], tableau.c])
     weights, errors = np.asarray(tableau.b_sol), np.asarray(tableau.b_error)
@@ -132,10 +134,12 @@ def with_structured_stages(solver: Any, structure: Structure, rate: Program, tol
             controller has none.
     """
     if type(solver) is diffrax.HalfSolver:
+        # Its three steps are those of the method within it.
         inner = with_structured_stages(solver.solver, structure, rate, tolerances)
         return eqx.tree_at(lambda half: half.solver, solver, inner)
     if tableau_of(solver) is None:
         return solver
+    # Array code has no elimination of its own; dense matrices serve it.
     systems = systems_of(structure) if rate.scalar is not None else None
     return DiagonallyImplicit(solver, rate, systems, tolerances)
 
@@ -182,6 +186,7 @@ class DiagonallyImplicit(diffrax.AbstractAdaptiveSolver):
         del solver_state, made_jump
         tableau: Any = tableau_of(self.own)
         t0, h = jnp.asarray(t0), jnp.asarray(t1) - t0
+        # A chord iteration: the matrix at the start of the step serves all stages and all turns.
         solve, is_regular = self._linear_solver(t0, y0, tableau.gamma * h, args)
         scale = self._scale(y0, args)
         lower, predictor, instants = map(jnp.asarray, (tableau.lower, tableau.predictor, tableau.instants))
@@ -189,7 +194,9 @@ class DiagonallyImplicit(diffrax.AbstractAdaptiveSolver):
 
         def stage(i, found):
             k, is_sound = found
+            # The later rows of k are still zero, and so are their coefficients.
             base = y0 + jnp.tensordot(lower[i], k, 1)
+            # The method's own predictor, from the stages before.
             guess = jnp.where(i == 0, first, jnp.tensordot(predictor[i], k, 1))
 
             def remainder(increment):
@@ -202,6 +209,7 @@ class DiagonallyImplicit(diffrax.AbstractAdaptiveSolver):
         begin = 1 if tableau.first_is_explicit else 0
         k, is_sound = jax.lax.fori_loop(begin, len(tableau.weights), stage, (k, is_regular))
         y1 = y0 + jnp.tensordot(tableau.weights, k, 1)
+        # A stage that was not found makes the step's error infinite: it is made again, shorter.
         error = jnp.where(is_sound, jnp.tensordot(tableau.error_weights, k, 1), jnp.inf)
         results: Any = diffrax.RESULTS
         result = results.where(is_sound, results.successful, results.nonlinear_divergence)
@@ -216,6 +224,7 @@ class DiagonallyImplicit(diffrax.AbstractAdaptiveSolver):
             def of_state(t, y):
                 return self.rate.inside(args.theta, args.ahead, t, y)
 
+            # Of the state alone: the rows' equations have the same matrix in their diagonal blocks.
             jacobian, _ = linearize_dense(of_state, t0, state, TANGENTS_PER_PASS)
             solve, is_regular = factorize_dense(jacobian, gamma_h)
         else:
@@ -239,11 +248,14 @@ class DiagonallyImplicit(diffrax.AbstractAdaptiveSolver):
 
         def changed(found):
             increment, before, n, _, _ = found
+            # A Newton step with the matrix of the start of the step.
             change = solve(remainder(increment))
             size = jnp.max(jnp.abs(change) / scale)
             rate = jnp.where(n == 0, 0.0, size / jnp.where(before > 0, before, 1.0))
+            # What is left of a geometric series of changes.
             ahead = size * rate / jnp.where(rate < 1, 1 - rate, 1.0)
             is_done = jnp.where(n == 0, size <= AT_ONCE, (rate < 1) & (ahead <= SETTLED) | (size <= AT_ONCE))
+            # Changes that double will not settle in the few turns that there are.
             is_lost = ~jnp.isfinite(size) | (rate > 2)
             return increment + change, size, n + 1, is_done, is_lost
 

@@ -79,11 +79,14 @@ class LinearSystems:
 
     def jacobian(self, t, y, args) -> tuple[StepLinearization, Float[Array, " size"]]:
         """Where the systems are those of, and df/dt there."""
+        # Most mechanisms do not know the time: its derivative is not evaluated then.
         slope = jnp.zeros_like(y) if self.by_time is None else self.by_time(args.theta, t, y)
         return StepLinearization(args.theta, t, y, args.ahead), slope
 
     def factorize(self, at: StepLinearization, gamma_h: Scalar):
         """The solver of the systems, and that they can be solved."""
+        # Machine code makes all stages in one call, where the program has become machine code; elsewhere each stage is
+        # a call of the elimination.
         step = self.called.step(self.rate.scalar, at.ahead, at.y.shape[0])
         if step is None:
             return self._solver(at, gamma_h, None), jnp.array(True)
@@ -103,6 +106,7 @@ class LinearSystems:
 
     def _coefficients(self, at: StepLinearization) -> list[Array]:
         """What J k is linear in k with."""
+        # The line's own outputs come first; behind them are its partial derivatives at this point.
         line, derivative, arguments = self._product(at)
         return derivative.values(*arguments)[len(line.outputs) :]
 
@@ -114,8 +118,10 @@ class LinearSystems:
         # The matrix itself is not differentiated: the rule below says what follows from its change.
         theta, t, y, fixed = jax.lax.stop_gradient((at.theta, at.t, at.y, gamma_h))
         known = (y, fixed[None], *self.known_at(theta, t, y))
+        # The elimination's pivots and multipliers, once for all stages of the step: they do not depend on rhs.
         factors = self.stage.ahead(theta, t, known)
 
+        # Forward and backward substitution.
         def eliminate(given, rhs):
             theta, factors, t, known = given
             return self.stage.inside(theta, factors, t, (*known, rhs))
@@ -135,7 +141,9 @@ class LinearSystems:
             _, coefficients_dot, at_dot, gamma_h_dot, rhs_dot = tangents
             k = eliminate(given, rhs)
             along = partial(multiply, k=k)
+            # J k, and what of it changes with the point at which J is taken.
             slope, bend = jax.jvp(along, (coefficients, at), (coefficients_dot, at_dot))
+            # The same factors solve for the derivative: the system's matrix is the same.
             return k, eliminate(given, rhs_dot + gamma_h_dot * slope + gamma_h * bend)
 
         return lambda rhs: solution((theta, factors, t, known), coefficients, at, gamma_h, rhs)
@@ -159,6 +167,7 @@ class LinearSystems:
         def _(primals, tangents):
             leaves, tree = jax.tree.flatten(primals)
             along = jax.tree.leaves(tangents, is_leaf=lambda x: isinstance(x, SymbolicZero))
+            # What does not move is left out: its derivative would be compiled and be zero.
             moves = [not isinstance(tangent, SymbolicZero) for tangent in along]
 
             def of_moving(*numbers):
@@ -183,6 +192,7 @@ class LinearSystems:
         step = self.called.step(self.rate.scalar, value.ahead, rows.shape[1], slopes, by)
         if step is None:
             return None
+        # The rows' share of df/dt is its derivative by the numbers and by the state, along each row.
         slope = jnp.zeros_like(rows)
         if self.by_time is not None:
             by_time = self.by_time
@@ -202,6 +212,7 @@ def systems_of(structure: Structure) -> LinearSystems | None:
     n_v, n_x = layout.n_velocity, layout.size - layout.n_position
     frozen_at = program_for(freeze, structure)
     change = program_for(residual_change, structure, None, (layout.size, n_v, n_constraints, n_v + n_x))
+    # Which entries of the matrix can be other than zero is read off the program: the elimination is made for these.
     pattern = pattern_of(structure, change)
     rate = program_for(state_rate, structure)
     if pattern is None or rate.scalar is None:
@@ -211,11 +222,13 @@ def systems_of(structure: Structure) -> LinearSystems | None:
     scalar = rate.scalar
 
     def by_time(theta, t, y):
+        # One direction, in forward mode: it costs about as much as the rate.
         return jax.jvp(lambda t: rate(theta, t, y), (t,), (jnp.ones_like(t),))[1]
 
     def known_at(theta, t, y):
         frozen = frozen_at(theta, t, y)
 
+        # Columns that share no row are evaluated together: `seeds` has one vector for each color.
         def along(seed):
             return change(theta, t, (y, frozen.accelerations, frozen.multipliers, seed))
 
@@ -242,6 +255,7 @@ def inexact_systems_of(structure: Structure) -> LinearSystems | None:
     if rate.scalar is None or stage.scalar is None or product.scalar is None:
         return systems_of(structure)
     multiplied = product.scalar
+    # Memories whose rates follow the state, such as bristles, are as stiff as the joint's force.
     if np.any(rate.scalar.dependence(_STATE)[layout.memory_start : layout.work_start]):
         return systems_of(structure)
 

@@ -251,9 +251,11 @@ class LandingController(AbstractForwardingController):
         fast for it, oscillations that last included, and its error estimate says nothing: a ball that circles in a
         bushing of 1e10 N/m was at rest after it. Time never goes back here, and the wrapped term is asked.
         """
+        # diffrax's wrapper of a term holds the term itself.
         terms = getattr(terms, "term", terms)
         first, inner = self.controller.init(terms, t0, t1, y0, dt0, args, func, error_order)
         first = t0 + finite_size(first - t0, t1 - t0)
+        # Where steps end is no function of the numbers that has a derivative here.
         start = None if self.contacts is None else jax.lax.stop_gradient(self.contacts.crossings(args, t0, y0))
         unknown = jnp.zeros(0) if start is None else -jnp.ones_like(start.value)
         state = LandingState(inner, jnp.zeros(2), jnp.array(False), jnp.array(False), start, unknown, jnp.array(0.0))
@@ -268,6 +270,8 @@ class LandingController(AbstractForwardingController):
             t0,
             t1,
             y0,
+            # The controller scales errors by the state: one that overflows is hidden from it, and its error is
+            # infinite.
             jnp.where(overflows, y0, y1_candidate),
             args,
             None if error is None else jnp.where(overflows, jnp.inf, error),
@@ -276,11 +280,14 @@ class LandingController(AbstractForwardingController):
         )
         if self.unseen is not None and self.longest is not None:
             looked = jnp.where(keep, t1 - t0, 0.0)
+            # Only steps that are kept are looked at for what no stage has sampled.
             seen = self.unseen.shortened(self.longest, args, t0, looked, y1_candidate)
             passes_over = keep & (seen < looked)
             keep, next_t0 = keep & ~passes_over, jnp.where(passes_over, t0, next_t0)
             next_t1 = jnp.where(passes_over, t0 + seen, next_t1)
+        # From the state at which the next step starts: the end of a kept step, else the start.
         next_t1 = self._limited(next_t0, next_t1, args, jnp.where(keep, y1_candidate, y0))
+        # A sample changes the rate at once: a method that would reuse its last stage must not.
         jumps = jnp.array(False) if self.were_taken is None else self.were_taken(y0, y1_candidate)
         made_jump = made_jump if self.were_taken is None else made_jump | (keep & jumps)
         size, shortest = t1 - t0, shortest_step(t0, t1)
@@ -293,9 +300,11 @@ class LandingController(AbstractForwardingController):
             state = controller_state._replace(inner=inner)
             return keep, next_t0, next_t1, made_jump, state, result
         contacts = self.contacts
+        # A kink that was gone over may have changed the state at the start of the step.
         start, y0 = start_of_step(contacts, controller_state.start, y0, t0)
         was_touching = contacts.is_touching(y0)
         end = contacts.crossings(args, t1, y1_candidate)
+        # In shares of this step, as all that the search works with.
         bend_before = controller_state.acceleration * size**2
         found = self._event(t0, t1, start, end, inside, args, contacts.is_pressing(y0, start), keep, bend_before)
         # Where the rounding of time leaves no instant between the start and the end, the step has landed.
@@ -305,14 +314,18 @@ class LandingController(AbstractForwardingController):
             is_kink = found.crosses & jnp.any(contacts.at_kinks(found.beyond) & contacts.may_kink(y0))
             ends_short = is_kink & (found.x * size > 8 * shortest)
             landing = jnp.where(ends_short, t0 + _short_of(found.x * size, shortest), landing)
+        # A step whose error was too large is repeated for that, and searched when it is made again.
         must_land = keep & found.crosses & (landing < t1)
         keep = keep & ~must_land
         is_touching = contacts.is_touching(y1_candidate)
+        # Landed is what has changed its mode, whether the step was shortened for it or not.
         has_landed = keep & jnp.any(was_touching != is_touching)
         state = controller_state
         mode_now = jnp.any(was_touching).astype(jnp.int64)
+        # The first whole step after an event says which size suits; one that was shortened to land says nothing.
         records = keep & state.is_first & ~state.is_landing
         first_steps = jnp.where(records & (jnp.arange(2) == mode_now), size, state.first_steps)
+        # Contact and flight have time scales that differ by a thousand: each has its own first step.
         first_after = jnp.where(jnp.any(is_touching), first_steps[1], first_steps[0])
         next_t1 = jnp.where(has_landed & (first_after != 0), t1 + first_after, next_t1)
         acceleration = found.bend / size**2
@@ -321,10 +334,13 @@ class LandingController(AbstractForwardingController):
         next_t1 = jnp.where(must_land, landing, jnp.where(keep, jnp.minimum(next_t1, t1 + longest), next_t1))
         resumes, goes_over = state.resumes, jnp.array(False)
         if contacts.has_rates_that_jump:
+            # A step that has ended short of a kink is followed by one that `OverKinks` begins behind it.
             goes_over = keep & jnp.any(is_short_of_kink(contacts, end, y1_candidate, t1))
             delay = _time_to_kink(contacts, end, y1_candidate)
+            # The next step is made to end short of a kink that lies within it, so that it need not be rejected.
             approaches = keep & ~goes_over & (delay <= APPROACH * size)
             next_t1 = jnp.where(approaches, jnp.minimum(next_t1, t1 + _short_of(delay, shortest)), next_t1)
+            # Behind the kink the step has the size that it had before it was shortened.
             next_t1 = jnp.where(goes_over, t1 + jnp.maximum(resumes, next_t1 - t1), next_t1)
             shortened = jnp.where(must_land & ends_short & (resumes == 0), size, resumes)
             resumes = jnp.where(keep & ~goes_over & ~approaches, 0.0, shortened)
@@ -347,6 +363,7 @@ class LandingController(AbstractForwardingController):
         """The first contact event inside the step, on the states inside it."""
         contacts = self.contacts
         assert contacts is not None
+        # Of the state alone: rows of derivatives below it have no part in the search.
         states = self.interpolation(t0=t0, t1=t1, **jax.tree.map(contacts.of_state, dense_info))
 
         def by_fraction(crossing: Crossing) -> Crossing:
@@ -363,6 +380,7 @@ class LandingController(AbstractForwardingController):
     def _limited(self, t0, t1, args, y):
         """The end of a step from the state y, no later than the longest step and what comes next allow."""
         if self.room is not None:
+            # As near as it may be, a step is never shorter than the rounding of time allows.
             room = jax.lax.stop_gradient(self.room(args, t0, y))
             t1 = jnp.minimum(t1, t0 + jnp.maximum(room, shortest_step(t0, t1)))
         return t1 if self.longest is None else jnp.minimum(t1, t0 + self.longest)
@@ -395,6 +413,7 @@ def longest_ball_step(crossing: Crossing, acceleration, is_touching) -> Float[Ar
     """
     n = is_touching.shape[0]
     square, acceleration = jnp.sum(crossing.velocity[:n] ** 2, axis=1), acceleration[:n]
+    # Crossing functions of balls are (|p|^2 - 1) / 2, with p the ball's place in clearances.
     distance = jnp.sqrt(jnp.maximum(1 + 2 * crossing.value[:n], 1e-300))
     deeper = jnp.maximum(LONGEST_CONTACT_STEP, DEEPER * (distance - 1))
     way = jnp.where(is_touching, deeper, 2 * LONGEST_FLIGHT_STEP)

@@ -64,8 +64,10 @@ def linearize_dense(
     in passes of 8 and 29 us one by one); for larger ones the loop bounds the memory.
     """
     n = y.shape[0]
+    # The directions are those of the state, and of time behind them.
     n_passes = -(-(n + 1) // tangents_per_pass)
     width = -(-(n + 1) // n_passes)
+    # Rows beyond the last direction are zero, so that all passes have the same width.
     seeds = jnp.eye(n_passes * width, n + 1, dtype=y.dtype).reshape(n_passes, width, n + 1)
 
     def differentiate(seed: Float[Array, " m"]) -> Vector:
@@ -99,6 +101,7 @@ class RosenbrockInterpolation(AbstractLocalInterpolation):
 
         def interpolate(y0: Array, y1: Array, *bends: Array) -> Array:
             x = theta.astype(jnp.result_type(y0))
+            # Horner's scheme; the factors x and 1 - x make the ends those of the step to the last bit.
             bend = bends[-1]
             for lower in reversed(bends[:-1]):
                 bend = lower + x * bend
@@ -149,14 +152,17 @@ class AbstractRosenbrock(AbstractAdaptiveSolver):
         """
         del solver_state, made_jump
         t0, t1 = jnp.asarray(t0), jnp.asarray(t1)
+        # Linear algebra needs a vector; a user's state may be any pytree.
         y, unravel = ravel_pytree(y0)
         h = jnp.asarray(terms.contr(t0, t1)).astype(y.dtype)
 
         def rate(t: Scalar, y: Vector) -> Vector:
             return ravel_pytree(terms.vf(t, unravel(y), args))[0]
 
+        # One matrix and one factorization serve all stages: that is what makes the method cheap.
         J, f_t = self._linearize(rate, t0, y, h, y0, args)
         solve, regular = self.factorize(J, self.tableau.gamma * h)
+        # h and t1 - t0 differ in sign where diffrax integrates backward.
         slope = h * (t1 - t0).astype(y.dtype) * f_t
         if isinstance(solve, SolveOfStages):
             stages = solve.all_stages(self.tableau, t0, t1 - t0, h, y, slope)
@@ -197,6 +203,7 @@ def step_from(
         regular: whether they could be solved for.
     """
     y1 = y + combined(tableau.b, stages)
+    # An infinite error has the step rejected and made again, shorter; of NaN a controller could make no size.
     valid = regular & jnp.all(jnp.isfinite(stages))
     error = jnp.where(valid, combined(tableau.e, stages), jnp.inf)
     return y1, error, dict(y0=y, y1=y1, bends=tuple(combined(row, stages) for row in tableau.H))

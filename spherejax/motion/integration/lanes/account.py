@@ -39,6 +39,7 @@ class AccountLayout(NamedTuple):
 
     def rows(self, n_jobs: int) -> Float[Array, "n_jobs k"]:
         """Those of a queue at its start. One that nobody writes is of no run that succeeded."""
+        # Time, status and two counts of steps stand first.
         size = 4 + 2 * self.n_contacts + self.n_watched + self.n_checks + math.prod(self.shape)
         return jnp.zeros((n_jobs, size)).at[:, _STATUS].set(Status.SOLVER_FAILED)
 
@@ -50,6 +51,8 @@ class AccountLayout(NamedTuple):
         t_reached, counts, touching, peaks, audit, y_reached = jnp.split(rows, ends, axis=1)
         status, n_accepted, n_rejected = counts[:, :3].astype(jnp.int64).T
         are_finite = samples_are_finite(ys, ts, t_end) & jnp.all(jnp.isfinite(y_reached), axis=1)
+        # Also of a run whose lane succeeded: samples that are not finite, or an end that was not reached, make it a
+        # failure.
         status = jax.vmap(end_status, (0, 0, None, 0))(status, t_reached[:, 0], t_end, are_finite)
         return LaneOutcome(
             ys=ys,
@@ -68,6 +71,7 @@ class AccountLayout(NamedTuple):
 
 def samples_are_finite(ys: Float[Array, "n_jobs n ..."], ts: Float[Array, " n"], t_last) -> Bool[Array, " n_jobs"]:
     """Whether all samples of each run up to a time [s] are finite."""
+    # Samples behind the end were never written, and stay NaN.
     is_due = (ts <= t_last).reshape(-1, *(1 for _ in ys.shape[2:]))
     return jnp.all(jnp.isfinite(ys) | ~is_due, axis=tuple(range(1, ys.ndim)))
 
@@ -78,6 +82,7 @@ def written(rows: Float[Array, "n_jobs k"], at: Array, lanes: Lane) -> Float[Arr
 
 
 def _row(lane: Lane) -> Float[Array, " k"]:
+    # One row of one type: all that a run reports is written down by one operation.
     counts = jnp.stack([lane.status, lane.n_accepted, lane.n_rejected])
     audit = jnp.zeros(0) if lane.watch is None else lane.watch.worst
     numbers = [lane.t[None], counts, lane.n_onsets, lane.touching, lane.peaks, audit, lane.y.ravel()]

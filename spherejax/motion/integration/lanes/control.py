@@ -74,6 +74,7 @@ class Repeating:
         problem = self.problem
         interpolation = problem.solver.interpolation_cls
         were_taken = None if problem.samples is None else problem.samples.were_taken
+        # Made for each lane: tolerances are arrays of the run, and cost nothing in a traced program.
         made: Any = LandingController  # pyright takes its fields for those of diffrax's base class
         controller = problem.controller_of(parameters)
         return made(
@@ -96,7 +97,9 @@ class Repeating:
     def _judge(self, step: BlockSteps, state, was_jump) -> Judgment:
         problem = self.problem
         end = StepEnd(problem.correct, problem.contacts, problem.samples)
+        # The end is corrected and its contacts updated before it is judged, as explicit steps are.
         y, began = end.changed(step.parameters, step.t0, step.y0, step.t1, step.y1)
+        # The controller looks for events on the solver's own interpolation, which it is handed with the error.
         error = step.error if problem.contacts is None else ErrorAndInside(step.error, step.dense_info)
         keep, t, t_next, made_jump, state, verdict = self._controller(step.parameters).adapt_step_size(
             step.t0, step.t1, step.y0, y, step.parameters, error, self.order, state
@@ -113,5 +116,6 @@ def told_by(keep, result, verdict) -> Int[Array, ""]:
 
 def clipped(t, t_next, t_end, keep) -> Array:
     """The end of the coming step, at most the end of the run; as diffrax does it."""
+    # A remainder of a few roundings would be a step of its own, with an error that means nothing.
     floor = t_end - 100 * jnp.finfo(jnp.float64).eps * jnp.abs(t_end)
     return jnp.where(t_next > floor, jnp.where(keep, t_end, t + 0.5 * (t_end - t)), t_next)

@@ -123,6 +123,7 @@ class Landing:
         t1, _ = self.problem.controller_of(parameters).init(
             term, t0, t_end, y0, None, parameters, self.problem.solver.func, self.order
         )
+        # diffrax's guess is infinite, or not a number, where the rate at the start is zero.
         size = finite_size(t1 - t0, t_end - t0)
         return self._first(t0, size, y0, parameters), self._pace(t0, y0, parameters)
 
@@ -146,6 +147,8 @@ class Landing:
 
         def next_end(slope, slope_along, y0, size, parameters):
             controller = self.problem.controller_of(parameters)
+            # The first look gives the rate at the start, the second the rate a small step along it: Hairer's two
+            # evaluations, made as steps of the loop so that the program holds the stages once.
             along = looked_along(controller, y0, slope)
             again = t0 + finite_size(along, span) / self.instants[1]
             along = size * self.instants[1]
@@ -162,6 +165,7 @@ class Landing:
         return t0 + self._limited(size, room, shortest_step(t0, t0 + size))
 
     def _pace(self, t0, y0, parameters) -> Pace:
+        # Without contacts the control carries arrays of nothing, so that its state has one form.
         start = Crossing(jnp.zeros(0), jnp.zeros(0), jnp.zeros((0, 3)))
         if self.contacts is not None:
             start = self.contacts.crossings(parameters, t0, y0)
@@ -181,16 +185,22 @@ class Landing:
         """What becomes of the trial steps."""
         size, shortest = step.t1 - step.t0, shortest_step(step.t0, step.t1)
         error, is_finite = self._scaled_error(step)
+        # As in diffrax, a step passes whose scaled error is below one.
         passes, unseen = error < 1, None
         if self.problem.unseen is not None and self.problem.longest_step is not None:
+            # A step that its error lets pass may still leap over a signal that no stage has sampled, such as a narrow
+            # pulse. Rejected steps are not looked at: the look costs evaluations.
             bend, looked = self.time_warp(state, size), jnp.where(passes, size, 0.0)
             shortened = partial(self.problem.unseen.shortened, self.problem.longest_step)
             seen = in_lanes(shortened)(step.parameters, step.t0, looked, step.y1, bend)
             unseen = passes & (seen < looked)
             passes, error = passes & ~unseen, jnp.where(unseen, jnp.maximum(error, 1.0), error)
+        # A step behind a rejected one does not grow: it would be rejected as well.
         largest = jnp.where(passes, jnp.where(state.was_rejected, 1.0, LARGEST_FACTOR), SAFETY)
         longer = size * jnp.clip(SAFETY * jnp.maximum(error, 1e-30) ** (-1 / self.order), SMALLEST_FACTOR, largest)
+        # A signal that was not seen says by itself how long the next attempt may be.
         longer = longer if unseen is None else jnp.where(unseen, jnp.minimum(longer, seen), longer)
+        # Drift is corrected before contacts are looked at: the crossing functions are those of the closed mechanism.
         step = step._replace(y1=self._corrected(step.parameters, step.t1, step.y1))
         if self.contacts is None:
             state = state._replace(was_rejected=~passes)
@@ -199,6 +209,7 @@ class Landing:
         else:
             judgment = self._with_contacts(self.contacts, step, state, error, longer, shortest)
         keep = judgment.keep
+        # A rejected step that cannot be shorter would be tried for ever.
         has_stalled = (~keep & ~(size > shortest)) | (size == 0)
         t, y = jnp.where(keep, judgment.t, step.t0), jnp.where(keep, judgment.y, step.y0)
         made_jump = jnp.where(keep, judgment.made_jump, was_jump)
@@ -217,6 +228,7 @@ class Landing:
         were_taken = judgment.keep & samples.were_taken(y, after)
         y = jnp.where(judgment.keep, after, y)
         state: Pace = judgment.state
+        # A controller that holds its output lets accelerations jump at a sample: those before it predict nothing.
         state = state._replace(acceleration=jnp.where(were_taken, -1.0, state.acceleration))
         return y, made_jump | were_taken, judgment._replace(y=jnp.where(judgment.keep, y, judgment.y), state=state)
 
@@ -225,26 +237,34 @@ class Landing:
     ) -> Judgment:
         """The judgment, with the coming step's size [s] in place of its end."""
         size, passes = step.t1 - step.t0, error < 1
+        # A ball touches by its memory and presses by its force: a contact that has begun may not press yet.
         was_touching = contacts.is_touching(step.y0)
         was_pressing = contacts.is_pressing(step.y0, state.start)
         found = self._event(contacts, step, state, was_pressing, passes)
         share = found.x
+        # States inside a step are of a lower order than its end. They are taken for the end of a step only where the
+        # step was much better than it had to be, or where the event lies near its end.
         is_accurate = (error < _ACCURATE_INSIDE) | (share > _NEAR_END)
         up_to_event = size * jnp.minimum(share * _BEYOND, 0.999)
         # Where the rounding of time leaves no instant between start and end, the end is the event.
         can_repeat = jnp.maximum(up_to_event, shortest) < size
+        # A crossing that the search has bracketed and not yet met is made again, as one that is inaccurate.
         lands = passes & found.crosses & found.is_exact & is_accurate
         ends_short = jnp.zeros_like(lands)
         if self.has_rates_that_jump:
+            # With derivatives no stage may lie beyond a surface at which their rates jump: the step ends short of it.
             is_kink = found.beyond[np.array(contacts.kinks)] & contacts.may_kink(step.y0)
             # Where the rounding of time leaves room for the step over the kink.
             ends_short = found.crosses & jnp.any(is_kink, axis=0) & (size > shortest / _SHORT)
             up_to_event = jnp.where(ends_short, size * share * (1 - _SHORT), up_to_event)
             lands = lands & ~ends_short
+        # Made again, the step is a little longer than up to the event, which then is inside it and near its end.
         repeats = passes & found.crosses & ~lands & can_repeat
         keep = passes & ~repeats
         t = jnp.where(lands, step.t0 + size * share, step.t1)
+        # Most turns land in no lane, and are spared the polynomials of all stages.
         y = jax.lax.cond(jnp.any(lands), self._landed, lambda step, *_: step.y1, step, state, lands, share)
+        # What a contact remembers is the speed of its onset, taken where it began, not where the trial step went.
         y = contacts.update_lanes(step.parameters, t, step.y0, y)
         end = in_lanes(contacts.crossings)(step.parameters, t, y)
         touched = jnp.zeros_like(lands)
@@ -252,10 +272,14 @@ class Landing:
             t, y, end, touched = self._over_the_kink(contacts, step, t, y, end, keep & ~lands)
         is_touching = contacts.is_touching(y)
         began = ~was_touching & is_touching
+        # An event is a change of mode, however it came about: by landing, or by a step that ended there by chance.
         is_event = keep & jnp.any(was_touching != is_touching, axis=0)
         mode, mode_now = (jnp.any(each, axis=0).astype(jnp.int64) for each in (was_touching, is_touching))
         duration = state.duration + jnp.where(keep, t - step.t0, 0.0)
+        # Impacts of one joint resemble each other: the sizes that suited the first steps after the last event are tried
+        # at once, in place of finding them by rejections.
         expected = self._expected(state, keep, mode, longer, is_event & (mode == 0), duration)
+        # Only a contact that has pressed through the whole step can be extrapolated to its release.
         may_release = was_pressing & contacts.is_pressing(y, end) & ~is_event
         if self.has_rates_that_jump:
             may_release = may_release.at[np.array(contacts.kinks)].set(False)  # a step ends short of these
@@ -264,12 +288,15 @@ class Landing:
             is_like = ~is_event & ~touched & contacts.may_kink(y)
             following = following * self._share_to_kink(state, end, t - step.t0, following, is_like)
         acceleration = found.bend / size**2
+        # A ball in flight may not pass through its socket and back within a step, which the search could not see.
         longest = longest_ball_step(end, acceleration, is_touching)
         following = jnp.minimum(following, longest)
         # A step that was too long only because it went far beyond the event is right up to there.
         is_event_to_blame = found.crosses & ((share * _BEYOND < _NEAR_END) | ends_short)
         again = jnp.where(passes | is_event_to_blame, up_to_event, longer)
+        # A step that was rejected for its own error is shortened by that, one that went beyond an event up to there.
         coming = jnp.where(keep, following, jnp.maximum(again, shortest))
+        # What a rejected step has found of the future is forgotten: its end is not where the run goes.
         elapsed = state.since + (t - step.t0)
         state = Pace(
             jax.tree.map(lambda new, old: jnp.where(keep, new, old), end, state.start),
@@ -302,6 +329,7 @@ class Landing:
         surface. For the time that it ends behind the surface the rates are those behind it: that is linear in what is
         left of the crossing function.
         """
+        # From which side a surface is approached is the sign of its crossing function.
         kinks, room = np.array(contacts.kinks), self._room(step.parameters, t, y)
         windows = windows_of(contacts)[kinks, None]
         sign = jnp.where(end.value[kinks] > 0, -1.0, 1.0)
@@ -309,6 +337,8 @@ class Landing:
         def over(t, y, end):
             way = end.value[kinks]
             speed = sign * end.rate[kinks]
+            # Lanes that do not come near divide by one here: a quotient of zero by zero would make their derivatives
+            # NaN.
             comes = (speed > 0) & (sign * way <= 0) & contacts.may_kink(y)
             delays = jnp.where(comes, -sign * way / jnp.where(comes, speed, 1.0), jnp.inf)
             first = jnp.argmin(delays, axis=0)
@@ -318,6 +348,8 @@ class Landing:
 
             delay = of_first(delays)
             is_near = may_cross & (delay <= _NEAR * (step.t1 - step.t0)) & (delay < room)
+            # The run's own end stays that of a usual step, and so does what a controller or a road asks to be stopped
+            # for.
             is_near = is_near & (t + 2 * delay < step.t_end)
             behind_by = of_first(windows / 2 + 0 * speed)
             first_try = jnp.where(is_near, delay + behind_by / of_first(jnp.where(comes, speed, 1.0)), 0.0)
@@ -325,6 +357,7 @@ class Landing:
 
             def turn(_, found):
                 size, *_ = found
+                # A loop over three stages: the right-hand side stands once in the program.
                 shares = jnp.array([0.0, 1 / 3, 2 / 3])
 
                 def stage(i, k):
@@ -340,19 +373,25 @@ class Landing:
                 is_over = (speed > 0) & (beyond > 0)
                 late = beyond / jnp.where(speed > 0, speed, 1.0)
                 aim = behind_by / jnp.where(speed > 0, speed, 1.0)
+                # Newton's step in the size, towards half a window behind the surface: sure to be behind it, and not to
+                # be an event of its own.
                 better = jnp.where(is_near & (speed > 0), jnp.maximum(size + aim - late, 0.0), size)
                 return better, size, after, 1.5 * k[2] - 0.5 * k[0], late, is_over, there
 
             nothing = first_try, first_try, y, y, first_try, is_near, end
             _, size, after, slope, late, is_over, there = jax.lax.fori_loop(0, _TOUCH_TURNS, turn, nothing)
+            # A step that did not get over, or went beyond by more than its way there, is not made; the loop goes on as
+            # usual.
             touched = is_near & is_over & (late <= delay)
             behind = rate(t + size, after, step.parameters)
             after = after + jnp.where(touched, late, 0.0) * (behind - slope)
+            # Contacts come before touches among the surfaces, and only they have a memory.
             if kinks[0] < contacts.n_contacts:
                 after = contacts.update_lanes(step.parameters, t + size, y, after)
             chosen = jax.tree.map(lambda new, old: jnp.where(touched, new, old), (t + size, after, there), (t, y, end))
             return (*chosen, touched)
 
+        # The branch is taken by the whole block where one lane needs it, and by none in most turns.
         near = (-sign * end.value[kinks]) <= _NEAR * (step.t1 - step.t0) * sign * end.rate[kinks]
         is_any = jnp.any(may_cross & jnp.any(near, axis=0))
         none = jnp.zeros_like(may_cross)
@@ -367,6 +406,7 @@ class Landing:
         modes, places = jnp.arange(2)[:, None, None], jnp.arange(2)[:, None]
         is_place = (modes == mode) & (places == state.n_since)
         expected = jnp.where(keep & is_place, longer, state.expected)
+        # Flights of a ball that comes to rest get shorter and shorter; the last one bounds the next.
         as_long = jnp.where(has_flown, _LIKE_LAST_FLIGHT * duration, jnp.inf)
         is_first_of_flight = (modes == 0) & (places == 0)
         return jnp.where(is_first_of_flight, jnp.minimum(expected, as_long), expected)
@@ -374,6 +414,7 @@ class Landing:
     def _following(self, state: Pace, end, expected, mode, size, longer, is_event, may_release):
         """The size of the step [s] that follows a kept one, and the time until a release that comes within it."""
         first, second = (jnp.where(mode == 0, expected[0, i], expected[1, i]) for i in (0, 1))
+        # The first step after an event is short by design, so its error says little of the second one's size.
         is_second = (state.n_since == 0) & ~is_event
         by_error = jnp.where(is_second, jnp.maximum(longer, second), longer)
         following = jnp.where(is_event & (first > 0), first, by_error)
@@ -398,12 +439,15 @@ class Landing:
 
         end = in_lanes(contacts.crossings)(step.parameters, step.t1, step.y1)
         numbers = by_fraction(state.start), by_fraction(end)
+        # The search works in shares of the step: rates are per step, accelerations per step squared.
         before = state.acceleration * size**2
         found = first_event(*numbers, inside, was_pressing, passes, self._window, contacts.n_contacts, before)
+        # Where a step ends is no function of the numbers: derivatives of event times come from the rows.
         return found._replace(x=jax.lax.stop_gradient(found.x))
 
     def _share_to_release(self, state: Pace, end, size, following, may_release) -> Float[Array, " n_lanes"]:
         """The share of the following step that ends just behind a release, as the motion of the last one has it."""
+        # A release is a crossing function that becomes negative.
         fractions = _fractions_ahead(state.start, end, size, following, -1.0, LANDING_WINDOW)
         shares = jnp.where(may_release, fractions, 1.0)
         return jnp.min(shares, axis=0)
@@ -448,8 +492,10 @@ class Landing:
             return controller.atol, controller.rtol, jnp.asarray(slack_of(parameters) if slack_of else 1.0)
 
         atol, rtol, slack = in_lanes(tolerances)(step.parameters)
+        # diffrax's scale: of the larger of both ends.
         scale = atol + jnp.maximum(jnp.abs(step.y0), jnp.abs(step.y1)) * rtol
         by_row = self._by_row(step.error / scale)
+        # Each row of derivatives is judged by itself: a mean would let one bad derivative hide among many good ones.
         error = jnp.maximum(by_row[0], jnp.max(by_row[1:], axis=0, initial=0.0) / slack)
         is_right = jnp.logical_not(jnp.isnan(error))
         if step.stray is not None:
@@ -480,6 +526,7 @@ class Landing:
         return jnp.inf if self.problem.room is None else in_lanes(self.problem.room)(parameters, t, y)
 
     def _limited(self, size, room, shortest) -> Float[Array, " n_lanes"]:
+        # What must not be passed over may be nearer than the rounding of time allows a step to be.
         size = jnp.minimum(size, jnp.maximum(room, shortest))
         longest = self.problem.longest_step
         return size if longest is None else jnp.minimum(size, longest)
@@ -492,6 +539,7 @@ def _fractions_ahead(start: Crossing, end: Crossing, size, following, sign, wind
     """
     ratio = following / size
     slope0, slope1 = start.rate * size, end.rate * size
+    # Hermite's cubic through values and slopes at both ends, in powers of the time behind the end.
     c3 = 2 * (start.value - end.value) + slope0 + slope1
     c2 = 3 * (end.value - start.value) - 2 * slope0 - slope1 + 3 * c3
     value = end.value + ratio * (slope1 + ratio * (c2 + ratio * c3))

@@ -73,11 +73,13 @@ class ExplicitStages:
         moving: tuple[int, ...] | None = None,
     ):
         self.program, self.moving = program, moving
+        # diffrax keeps a triangle row by row; here it is a matrix with a first row of zeros.
         every = explicit_tableau(tableau, len(tableau.b_sol), ())
         self.coefficients, self.instants = np.array(every.A), np.array(every.c)
         self.weights, self.error_weights = np.asarray(tableau.b_sol), np.asarray(tableau.b_error)
         self.n_used = n_used = n_stages_of_end(tableau)
         self.n_stages = len(self.weights) if with_dense_output else n_used
+        # Polynomials for states inside a step are made from the stages of the step itself: no evaluation is added.
         self.inside = extension(self.coefficients[:n_used, :n_used], self.weights[:n_used])
         stray = _stray_of_a_stage(self.coefficients, self.instants, self.weights)
         lower = tableau.b_lower if isinstance(tableau, TwoErrors) else None
@@ -99,8 +101,10 @@ class ExplicitStages:
         """
         del solver_state, made_jump
         h, n = t_next - t, self.n_stages
+        # Looks at the start need two stages, steps without a sample inside them not the last ones.
         n_made = n if n_evaluated is None else n_evaluated
         found = self._called(t, h, y, parameters, bend, n_made)
+        # Array code, and programs that are differentiated: the stages are a loop of XLA.
         if found is None:
             rate = in_lanes(self.rate)
             k = self.tableau.stages(
@@ -112,6 +116,7 @@ class ExplicitStages:
         change, error, *others = sums
         if self.has_two_errors:
             error = TwoErrors.together(error, others.pop(0))
+        # Sums over the stages come from the loop that makes them, while they are in the processor's cache.
         end = y + change
         return TrialStep(end, error, {"y0": y, "y1": end, "k": k}, (), None, *others)
 
@@ -153,6 +158,7 @@ class MappedSteps:
 
     def nothing_made(self, t, y, parameters, solver_state, made_jump) -> Any:
         """What states inside a step are made from, before there was one."""
+        # Only the forms are asked for; nothing is evaluated.
         made = jax.eval_shape(self.step, t, t, y, parameters, solver_state, made_jump, t)
         return jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), made.dense_info)
 

@@ -62,6 +62,7 @@ class RunCheckpoint(NamedTuple):
         leaves, tree = jax.tree.flatten(run)
         arrays = [jnp.asarray(leaf, jnp.result_type(leaf)) for leaf in leaves]
         forms = [_ArrayForm(array.dtype.name, array.shape) for array in arrays]
+        # One vector of each type: handing over an array costs some microseconds, however small it is.
         parts: dict[str, list[Array]] = {}
         for array, form in zip(arrays, forms, strict=True):
             parts.setdefault(form.kind, []).append(array.reshape(-1))
@@ -91,6 +92,7 @@ class _ArrayForm:
 def window_at(ts: Float[np.ndarray, " n"], first: int) -> Float[np.ndarray, " w"]:
     """The sample times from one on, as a window. That one has been written before, and is not written again; what is
     left of the last window is infinite, and never comes."""
+    # Infinite times never come, so a window that is not full needs no other program.
     window = np.full(WINDOW, np.inf)
     part = ts[first : first + WINDOW]
     window[: len(part)] = part
@@ -136,6 +138,7 @@ class WindowPace:
     def note(self, n_turns: int, seconds: float) -> None:
         """Take the time of a call."""
         self._n_calls += 1
+        # The first call has compiled.
         if self._n_calls > 1 and n_turns > 0:
             self._seconds = max(seconds / n_turns, SHORTEST_TURN)
 
@@ -196,6 +199,7 @@ class _Windows(Queue):
     """A queue of one run that is under way."""
 
     def __init__(self, problem: LaneProblem, lanes: Lane, ends, window):
+        # A queue takes its runs along the first axis; the one run is in the only lane, on the last.
         parameters = jax.tree.map(lambda leaf: leaf[..., 0][None], lanes.parameters)
         y0 = lanes.y[..., 0][None]
         super().__init__(problem, parameters, y0, window, jnp.ones(1, bool), lanes.status, Block())
@@ -203,6 +207,7 @@ class _Windows(Queue):
 
     def gone_on_from(self, run: RunUnderWay, n_turns: Int[Array, ""]) -> tuple[LaneOutcome, RunUnderWay, Array]:
         """See `run_loop`."""
+        # Turns are counted from the start of the run: a call ends at the turn that the caller asks for.
         last_turn = run.n_lane_steps + n_turns
         lanes = run.lanes._replace(n_samples=jnp.zeros_like(run.lanes.n_samples))
         account = AccountLayout.of(lanes)
@@ -217,8 +222,10 @@ class _Windows(Queue):
             has_room = jnp.any(lanes.n_samples < self.ts.shape[0])
             return has_room & (n_lane_steps < last_turn) & has_not_ended(lanes, looks)
 
+        # The queue is empty: its one job is in its lane already.
         carry = lanes, jnp.asarray(1), account.rows(1), ys, run.n_lane_steps, None, run.looks, run.last
         lanes, _, rows, ys, n_lane_steps, _, looks, last = self.run_loop(busy, carry)
+        # Samples inside steps are corrected here, once for a window; in the loop each turn would have the code.
         if self.corrects_late:
             ys = self._corrected(lanes, ys)
         outcome = account.outcome(rows, ys, n_lane_steps, self.ts, self.t_end)
