@@ -679,6 +679,44 @@ def gears() -> Figure:
     return figure
 
 
+def pose_play() -> Figure:
+    """Where the tip of the five-bar can be within clearances of 0.05 mm, by the bound and by samples."""
+    model = sj.Dry(clearance=5e-5, normal=sj.Hertz(stiffness=1e8, exponent=1.0))
+    play = sj.studies.pose_play(sj.gallery.five_bar(model), "left_rod.tip")
+    rng = np.random.default_rng(0)
+    n = 4000
+    samples = {}
+    for name in play.influence:
+        angle = rng.uniform(0.0, 2 * np.pi, n)
+        ring = np.stack([np.cos(angle), np.zeros(n), np.sin(angle)], 1)
+        samples[name] = 5e-5 * np.sqrt(rng.uniform(0.5, 1.0, (n, 1))) * ring
+    moved = 1e6 * np.asarray(jax.jit(jax.vmap(play.change))(samples))
+    angles = np.linspace(0.0, 2 * np.pi, 181)
+    outline = []
+    for a in angles:
+        d = np.array([np.cos(a), 0.0, np.sin(a), 0.0, 0.0, 0.0])
+        worst = play.worst(d)
+        outline.append(sum(np.asarray(play.influence[j] @ worst[j]) for j in worst))
+    outline = 1e6 * np.array(outline)
+    figure, panel = plt.subplots(figsize=(5.4, 5.2), layout="constrained")
+    panel.plot(
+        moved[:, 0], moved[:, 2], ".", color=LINES[1], markersize=1.5, label="samples"
+    )
+    panel.plot(
+        outline[:, 0], outline[:, 2], color="black", linewidth=1.2, label="bound"
+    )
+    panel.set(aspect="equal", xlabel="x [µm]", ylabel="z [µm]")
+    panel.legend(
+        fontsize=8,
+        frameon=False,
+        ncols=2,
+        loc="lower center",
+        bbox_to_anchor=(0.5, 1.0),
+        markerscale=5,
+    )
+    return figure
+
+
 PICTURES: dict[str, Callable[[], Figure | Image.Image]] = {
     "four_bar": four_bar,
     "accelerations": accelerations,
@@ -701,6 +739,7 @@ PICTURES: dict[str, Callable[[], Figure | Image.Image]] = {
     "suspension_over_bump": suspension,
     "wear": wear,
     "gears": gears,
+    "pose_play": pose_play,
     "inverse_dynamics": inverse_dynamics,
     **{f"scene_{name}": scene(name) for name in sj.gallery.__all__},
 }

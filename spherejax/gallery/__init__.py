@@ -4,6 +4,7 @@ from spherejax.gallery.andrews import andrews
 from spherejax.gallery.bricard import bricard
 from spherejax.gallery.car_axis import car_axis
 from spherejax.gallery.chain import chain
+from spherejax.gallery.five_bar import five_bar
 from spherejax.gallery.four_bar import four_bar
 from spherejax.gallery.governor import governor
 from spherejax.gallery.hip import hip
@@ -23,6 +24,7 @@ __all__ = [
     "chain",
     "double_pendulum",
     "double_wishbone",
+    "five_bar",
     "four_bar",
     "governor",
     "heavy_top",

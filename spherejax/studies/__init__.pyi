@@ -20,6 +20,7 @@ from .fit import (
 from .inverse import InverseDynamics, SampledMotion, inverse_dynamics
 from .linear import Linearization, Modes, linearize
 from .model_choice import Candidate, ModelComparison, ModelEvidence, compare_models
+from .play import PosePlay, pose_play
 from .rubber import DynamicStiffness, StiffnessFit, dynamic_stiffness, fit_stiffness
 from .sensitivity import Sensitivities
 from .subject import Comparison, ModelRow
@@ -52,6 +53,7 @@ __all__ = [
     "ModelRow",
     "Modes",
     "Parameter",
+    "PosePlay",
     "Posterior",
     "SampledMotion",
     "Scatter",
@@ -76,6 +78,7 @@ __all__ = [
     "monte_carlo",
     "open_sweep",
     "optimize",
+    "pose_play",
     "posterior",
     "product",
     "random_samples",

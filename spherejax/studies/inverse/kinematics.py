@@ -165,10 +165,12 @@ def _stepped(
     slopes = weights[:, None] * _slopes(mechanism, looked) / scales
     missing = weights * _missing(mechanism, pose, looked.values, wished)
     steps = constrained_least_squares(equations, -found.residual / sizes, slopes, missing)
-    return _displaced(pose, (steps / scales).reshape(-1, VELOCITY_SIZE))
+    return displaced(pose, (steps / scales).reshape(-1, VELOCITY_SIZE))
 
 
-def _displaced(pose: Float[Array, "b 7"], steps: Float[Array, "b 6"]) -> Float[Array, "b 7"]:
+def displaced(pose: Float[Array, "b 7"], steps: Float[Array, "b 6"]) -> Float[Array, "b 7"]:
+    """The bodies moved by translations [m] and rotation vectors [rad], world axes."""
+
     def one(place, step):
         turned = quaternion_product(quaternion_from_rotation_vector(step[3:]), place[3:])
         return jnp.concatenate([place[:3] + step[:3], normalized(turned)])
