@@ -144,7 +144,7 @@ def test_the_program_cache_is_used_by_its_public_names():
         of_cache = [node for node in nodes if (node.module or "").startswith("spherejax.program_cache")]
         names = [[*str(node.module).split("."), alias.name][2] for node in of_cache for alias in node.names]
         deep += [f"{path}: {name}" for name in names if name not in public]
-        n_further += any(name not in ("cached_jit", "remembered", "gc_paused") for name in names)
+        n_further += any(name not in ("cached_jit", "memoized", "gc_paused") for name in names)
     assert deep == []
     assert n_further <= 14
 

@@ -3,7 +3,6 @@
 from . import disk_cache, fingerprints, folders, keys, settings, several_devices, user_code
 from .garbage import gc_paused
 from .jit import cached_jit
-from .keys import remembered
 
 __all__ = [
     "cached_jit",
@@ -12,7 +11,7 @@ __all__ = [
     "folders",
     "gc_paused",
     "keys",
-    "remembered",
+    "memoized",
     "settings",
     "several_devices",
     "user_code",

@@ -225,7 +225,7 @@ def lru_get(cache: LruCache, key: Hashable | None, make: Callable[[], Any]) -> A
     return cache.get(key, made, may_enter=lambda: not is_tracing())
 
 
-def remembered(
+def memoized(
     size: int, key: Callable[..., Hashable | None] | None = None, *, copied: bool = False
 ) -> Callable[[_Function], _Function]:
     """A decorator for a pure function whose results are kept, by the values of its arguments.

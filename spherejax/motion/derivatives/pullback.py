@@ -65,7 +65,7 @@ from spherejax.program_cache import cached_jit
 ROOM = 1024
 """Steps of a stretch. A program fills the room with NaN when it begins: 1 MB for a four-bar, 0.1 ms."""
 
-MIXTURE_SLACK = 0.1
+MIXTURE_FACTOR = 0.1
 """Errors of the one sensitivity that stands for all are allowed to be this share of those of rows for each number.
 
 A ball that forty sines drive through four impacts with friction: gradients are right to 2e-5 with 1, to 1.5e-6 with
@@ -169,8 +169,8 @@ def _pulled_back(plan: Plan, method: RunMethod, inputs: RunInputs, by_ys, by_ass
         return lane_job(plan, method, inputs._replace(values=values))
 
     job, _ = with_slopes(job_of_values, values, along[None])
-    factor = jnp.asarray(method.factor(plan.structure)) * MIXTURE_SLACK
-    job = job._replace(numbers=job.numbers._replace(slack=factor))
+    factor = jnp.asarray(method.factor(plan.structure)) * MIXTURE_FACTOR
+    job = job._replace(numbers=job.numbers._replace(tangent_tolerance_factor=factor))
     # Where explicit steps go over kinks by a step of their own, straight ones that begin behind them take their place.
     is_straight = is_explicit(method.rest) and bool(kinks_of(plan.structure))
     kind = JobKind.of(plan, method, with_rows=True, moving=plan.unknown, by_steps=is_straight)

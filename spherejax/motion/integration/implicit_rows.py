@@ -121,7 +121,7 @@ Derivatives of a ball of 1 kg through one linear contact of 1e7 N/m with hystere
 steps than 2."""
 
 
-def slack_of(solver: Any, structure: Structure) -> float:
+def usual_tangent_factor(solver: Any, structure: Structure) -> float:
     """How much larger the errors of sensitivities may be than the state's, where nobody says.
 
     Through stops and contacts whose stiffness K is there at once much less than elsewhere: within them the

@@ -19,7 +19,7 @@ from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import Program, program_for
 from spherejax.motion.equations.quantities import magnitudes
 from spherejax.motion.integration.compiling import in_machine_code
-from spherejax.motion.integration.implicit_rows import rows_with_fixed_matrix, slack_of, solver_of_rows
+from spherejax.motion.integration.implicit_rows import rows_with_fixed_matrix, solver_of_rows, usual_tangent_factor
 from spherejax.motion.integration.lanes import LaneOutcome, LaneProblem
 from spherejax.motion.integration.longest_step import longest_step
 from spherejax.motion.integration.problem import (
@@ -62,14 +62,15 @@ class RunNumbers(NamedTuple):
         slopes: their scaled derivatives by the numbers asked for; None without.
         tolerances: relative and absolute, where they depend on the run; None where all share them.
         limits: of the audit.
-        slack: how much larger the errors of sensitivities may be than the state's; None for what the method has.
+        tangent_tolerance_factor: how much larger the errors of sensitivities may be than the state's; None for what the
+            method has.
     """
 
     value: Parameters
     slopes: Any
     tolerances: Any
     limits: Any
-    slack: Any = None
+    tangent_tolerance_factor: Any = None
 
     @property
     def theta(self) -> Float[Array, " p"]:
@@ -110,8 +111,8 @@ class JobKind:
         solver: a diffrax solver, without its arrays.
         with_rows: whether sensitivities are integrated beside the state.
         watch: names of quantities whose largest magnitudes are kept.
-        slack: how much larger the errors of sensitivities may be than the state's, where a run does not say; None for
-            what the method has.
+        tangent_tolerance_factor: how much larger the errors of sensitivities may be than the state's, where a run does
+            not say; None for what the method has.
         moving: numbers of the system that the sensitivities are by; None for all.
         control: a step-size controller of a user's, without its arrays, which then stand for the tolerances; None for
             that of this package.
@@ -124,7 +125,7 @@ class JobKind:
     solver: diffrax.AbstractSolver
     with_rows: bool = False
     watch: tuple[str, ...] = ()
-    slack: float | None = None
+    tangent_tolerance_factor: float | None = None
     moving: tuple[int, ...] | None = None
     control: Any = None
     by_steps: bool = False
@@ -182,18 +183,18 @@ class JobKind:
 
     def _of_rows(self, problem: LaneProblem, solver: Any, rate) -> LaneProblem:
         """The same for the state and its sensitivities."""
-        watch, usual = problem.watch, self.slack
+        watch, usual = problem.watch, self.tangent_tolerance_factor
         if usual is None:
-            usual = slack_of(self.solver, self.structure)
+            usual = usual_tangent_factor(self.solver, self.structure)
 
-        def slack(numbers):
-            return usual if numbers.slack is None else numbers.slack
+        def factor(numbers):
+            return usual if numbers.tangent_tolerance_factor is None else numbers.tangent_tolerance_factor
 
         contacts = None if problem.contacts is None else with_rows(problem.contacts, rate)
         return problem._replace(
             solver=self._over_kinks(self._solver_of_rows(solver, rate), contacts),
-            controller_of=lambda numbers: judging_rows(problem.controller_of(numbers), slack(numbers)),
-            slack_of=slack,
+            controller_of=lambda numbers: judging_rows(problem.controller_of(numbers), factor(numbers)),
+            tangent_tolerance_factor=factor,
             rate=lambda t, rows, numbers: rows_rate(rate, numbers, t, rows),
             correct=correcting_rows(problem.correct),
             contacts=contacts,

@@ -21,7 +21,7 @@ from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for
 from spherejax.motion.equations.sampling import initial_force_memory
 from spherejax.motion.integration.compiling import OF_START, in_machine_code, options_for
-from spherejax.motion.integration.implicit_rows import slack_of
+from spherejax.motion.integration.implicit_rows import usual_tangent_factor
 from spherejax.motion.integration.jobs import Job, JobKind, job_of, statistics, with_slopes
 from spherejax.motion.integration.lanes import Block, LaneOutcome, run_in_lanes
 from spherejax.motion.integration.lanes.operation import runs
@@ -250,8 +250,8 @@ def differentiable_slopes(plan: Plan, method: RunMethod, inputs: RunInputs, dire
         return lane_job(plan, method, inputs._replace(values=values), is_differentiated=True)
 
     job, assembly = with_slopes(job_of_values, inputs.values, directions)
-    factor = min(1.0, slack_of(solver, plan.structure))
-    kind = JobKind.of(plan, method, with_rows=True, slack=factor, by_steps=True)
+    factor = min(1.0, usual_tangent_factor(solver, plan.structure))
+    kind = JobKind.of(plan, method, with_rows=True, tangent_tolerance_factor=factor, by_steps=True)
     problem = kind.problem(inputs.ts, method.shared)._replace(in_machine_code=False, program=None)
     job = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], job)
     made = run_in_lanes(problem, job.numbers, job.y0, inputs.ts, job.may_run, job.status, Block())
@@ -275,7 +275,7 @@ def _with_slopes(plan: Plan, method: RunMethod, inputs: RunInputs, directions, b
     numbers = jnp.append(values, ts[0]) if by_start else values
     job, assembly = with_slopes(job_of_values, numbers, directions, first_rate if by_start else None)
     factor = jnp.asarray(method.factor(plan.structure))
-    job = job._replace(numbers=job.numbers._replace(slack=factor))
+    job = job._replace(numbers=job.numbers._replace(tangent_tolerance_factor=factor))
     return _split(method, job, _made(plan, method, job, ts, True), assembly)
 
 

@@ -26,7 +26,7 @@ from spherejax.motion.equations.programs import Program, program_for
 from spherejax.motion.equations.projection import correction_of
 from spherejax.motion.equations.sampling import initial_force_memory
 from spherejax.motion.integration.audit import Audit, Limits, limits_of, look_of
-from spherejax.motion.integration.implicit_rows import slack_of
+from spherejax.motion.integration.implicit_rows import usual_tangent_factor
 from spherejax.motion.integration.longest_step import room_for
 from spherejax.motion.integration.sensitivity_rows import scales_of
 from spherejax.motion.integration.statistics import Statistics
@@ -211,7 +211,7 @@ class RunMethod(eqx.Module):
     def factor(self, structure: Structure) -> Any:
         """How much larger the errors of derivatives may be than the state's."""
         if self.tangent_tolerance_factor is None:
-            return slack_of(self.rest, structure)
+            return usual_tangent_factor(self.rest, structure)
         return self.tangent_tolerance_factor
 
     @property

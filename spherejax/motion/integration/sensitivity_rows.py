@@ -207,18 +207,18 @@ def unseen_of_first_row(unseen: Unseen | None) -> Unseen | None:
     return None if unseen is None else unseen._replace(signals=signals)
 
 
-def judging_rows(controller, slack: float = 1.0):
+def judging_rows(controller, factor: float = 1.0):
     """The controller with the norm of the worst row, so that many numbers do not dilute the error of one.
 
     Args:
         controller: a diffrax controller.
-        slack: how much larger the errors of the sensitivities may be than those of the state.
+        factor: how much larger the errors of the sensitivities may be than those of the state.
     """
     if not isinstance(controller, diffrax.PIDController):
         return controller
     norm = controller.norm
 
     def worst(errors):
-        return jnp.maximum(norm(errors[0]), jnp.max(jax.vmap(norm)(errors[1:])) / slack)
+        return jnp.maximum(norm(errors[0]), jnp.max(jax.vmap(norm)(errors[1:])) / factor)
 
     return eqx.tree_at(lambda c: c.norm, controller, worst)

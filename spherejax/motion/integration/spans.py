@@ -97,9 +97,9 @@ def by_shares(problem: LaneProblem, cycles: int) -> LaneProblem:
         assert problem.room is not None
         return problem.room(span.numbers, span.time(x), y) / span.length
 
-    def slack(span: Span):
-        assert problem.slack_of is not None
-        return problem.slack_of(span.numbers)
+    def factor(span: Span):
+        assert problem.tangent_tolerance_factor is not None
+        return problem.tangent_tolerance_factor(span.numbers)
 
     solver: Any = problem.solver
     if not is_explicit(solver):
@@ -115,7 +115,7 @@ def by_shares(problem: LaneProblem, cycles: int) -> LaneProblem:
         audit=None if audit is None else _audit(audit),
         room=None if problem.room is None else room,
         unseen=None if problem.unseen is None else problem.unseen._replace(signals=timed(problem.unseen.signals)),
-        slack_of=None if problem.slack_of is None else slack,
+        tangent_tolerance_factor=None if problem.tangent_tolerance_factor is None else factor,
         program=None,
     )
 

@@ -98,9 +98,13 @@ class PreparedRuns:
         assert plan is not None
         assert method is not None
         kind = JobKind.of(
-            plan, method, with_rows=bool(settings.by), watch=settings.watch, slack=method.tangent_tolerance_factor,
+            plan,
+            method,
+            with_rows=bool(settings.by),
+            watch=settings.watch,
+            tangent_tolerance_factor=method.tangent_tolerance_factor,
             moving=plan.unknown,
-        )  # fmt: skip
+        )
         return kind.problem(self.ts, method.shared)
 
     def trajectory(self, start: Job, outcome: LaneOutcome) -> Trajectory:

@@ -23,7 +23,6 @@ from spherejax.motion.start.jumps import jump_conditions
 from spherejax.motion.start.points_beside import points_beside
 from spherejax.motion.start.start_now import KnownStart, known_start
 from spherejax.motion.start.tolerances import Tolerances, component_tolerances, controller_for
-from spherejax.program_cache import remembered
 from spherejax.program_cache.keys import own, own_arrays, value_key
 
 N_SCENES = 64
@@ -86,7 +85,7 @@ def _by_scene_and_time(scene: PreparedScene, ts: Numeric) -> Hashable | None:
     return _by_scene(scene, ts) if scene.is_driven else _by_scene(scene)
 
 
-@remembered(N_SCENES)
+@memoized(N_SCENES)
 def prepared(scene: Scene, track_work: bool, scalar: bool | None) -> PreparedScene:
     """A scene, checked and split into structure and numbers.
 
@@ -97,19 +96,19 @@ def prepared(scene: Scene, track_work: bool, scalar: bool | None) -> PreparedSce
     return PreparedScene(compiled, scalar, points_beside(scene, compiled.system))
 
 
-@remembered(N_SCENES)
+@memoized(N_SCENES)
 def prepared_system(system: System, scalar: bool | None) -> PreparedScene:
     """The same of a scene that is compiled already, whose numbers have been checked and doubts been said."""
     return PreparedScene(CompiledScene(system, []), scalar)
 
 
-@remembered(N_ANSWERS, _by_scene)
+@memoized(N_ANSWERS, _by_scene)
 def chosen_method(scene: PreparedScene, rtol: Any) -> SolverChoice:
     """The method that a scene calls for."""
     return choose_solver(scene.seen, rtol, explicit_only=scene.is_explicit_only)
 
 
-@remembered(N_ANSWERS, _by_scene)
+@memoized(N_ANSWERS, _by_scene)
 def scene_tolerances(scene: PreparedScene, rtol: Any) -> tuple[Tolerances, diffrax.PIDController]:
     """Tolerances by the scales of a scene, and the step-size control with them."""
     # A run and its derivative are judged by the same numbers: those behind the tracers of `jvp` and `grad`.
@@ -119,14 +118,14 @@ def scene_tolerances(scene: PreparedScene, rtol: Any) -> tuple[Tolerances, diffr
     return tolerances, controller_for(scene.structure, tolerances.rtol, tolerances.atol)
 
 
-@remembered(N_ANSWERS, _by_scene_and_time, copied=True)
+@memoized(N_ANSWERS, _by_scene_and_time, copied=True)
 def closed_start(scene: PreparedScene, ts: Numeric) -> KnownStart | None:
     """The consistent start at the first of the times, where it is known, and what is to be said of it."""
     start = known_start(scene.seen, ts)
     return None if start is None else start._replace(doubts=(*start.doubts, *scene.doubts))
 
 
-@remembered(N_ANSWERS, _by_scene)
+@memoized(N_ANSWERS, _by_scene)
 def conditions_of_jumps(scene: PreparedScene, ts: Numeric) -> list:
     """Conditions, traced, that no driver jumps; see `motion.start.jumps`."""
     return jump_conditions(scene.seen, ts) if scene.is_driven else []

@@ -56,7 +56,6 @@ from spherejax.motion.solvers.root_finder import with_converging_root_finder
 from spherejax.motion.start.assembly import Assembly
 from spherejax.motion.start.start_now import StartWarning
 from spherejax.motion.start.tolerances import controller_for, tolerances_in_all_units, tolerances_of
-from spherejax.program_cache import remembered
 from spherejax.program_cache.keys import own_arrays, value_key
 from spherejax.program_cache.user_code import read_once
 from spherejax.runtime import require_float64
@@ -213,7 +212,7 @@ def _by_values(scene: Scene, ts: Any, settings: RunSettings) -> Hashable | None:
     return value_key((scene, ts, settings))
 
 
-@remembered(N_CALLS, _by_values)
+@memoized(N_CALLS, _by_values)
 def _call(scene: Scene, ts, settings: RunSettings) -> _Call:
     """A call of `simulate`; arguments as there."""
     ts, settings = checked_times(ts), settings.checked()

@@ -48,7 +48,7 @@ from spherejax.motion.runs.simulate import (
 )
 from spherejax.motion.settings import DEFAULT_MAX_STEPS, RunSettings
 from spherejax.motion.start.start_now import StartWarning
-from spherejax.program_cache import cached_jit, remembered
+from spherejax.program_cache import cached_jit
 from spherejax.runtime import require_float64
 
 GEOMETRY = ("attachment", "coordinate", "place")
@@ -300,7 +300,7 @@ def _by_known_numbers(state: MotionState, names: tuple[str, ...]) -> Hashable | 
     return state.known, state.settings, state.scalar, names
 
 
-@remembered(N_SCENES, _by_known_numbers)
+@memoized(N_SCENES, _by_known_numbers)
 def _stepper_of(state: MotionState, names: tuple[str, ...]) -> _Stepper:
     """What the steps of a state are made with."""
     return _Stepper.of(state, names)

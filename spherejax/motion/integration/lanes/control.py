@@ -49,7 +49,7 @@ class BlockSteps(NamedTuple):
         error: estimate of the error of y1.
         dense_info: what states inside it are made from; of explicit methods the increments of the stages, `k`.
         parameters: what the right-hand side is given.
-        stray: see `stages.TrialStep`.
+        stage_defect: see `stages.TrialStep`.
         t_end: where the runs end [s].
     """
 
@@ -60,7 +60,7 @@ class BlockSteps(NamedTuple):
     error: Float[Array, "... n_lanes"]
     dense_info: Any
     parameters: Any
-    stray: Float[Array, "... n_lanes"] | None = None
+    stage_defect: Float[Array, "... n_lanes"] | None = None
     t_end: Float[Array, " n_lanes"] | float = jnp.inf
 
 

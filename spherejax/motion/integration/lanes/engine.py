@@ -181,7 +181,7 @@ class Queue:
         # derivatives without meaning.
         fixed = jax.lax.stop_gradient
         ends = lane.y, trial.y, fixed(error)
-        step = BlockSteps(lane.t, lane.t_next, *ends, trial.dense_info, lane.parameters, trial.stray, lane.t_end)
+        step = BlockSteps(lane.t, lane.t_next, *ends, trial.dense_info, lane.parameters, trial.stage_defect, lane.t_end)
         keep, t, t_next, y, state, made_jump, verdict, began = self.control.judge(
             step, lane.controller_state, lane.made_jump
         )

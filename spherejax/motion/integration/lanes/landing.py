@@ -485,24 +485,24 @@ class Landing:
         And whether it is finite: it is infinite, too, of a step whose stages do not hold together.
         """
 
-        slack_of = self.problem.slack_of
+        factor_of = self.problem.tangent_tolerance_factor
 
         def tolerances(parameters):
             controller = self.problem.controller_of(parameters)
-            return controller.atol, controller.rtol, jnp.asarray(slack_of(parameters) if slack_of else 1.0)
+            return controller.atol, controller.rtol, jnp.asarray(factor_of(parameters) if factor_of else 1.0)
 
-        atol, rtol, slack = in_lanes(tolerances)(step.parameters)
+        atol, rtol, factor = in_lanes(tolerances)(step.parameters)
         # diffrax's scale: of the larger of both ends.
         scale = atol + jnp.maximum(jnp.abs(step.y0), jnp.abs(step.y1)) * rtol
         by_row = self._by_row(step.error / scale)
         # Each row of derivatives is judged by itself: a mean would let one bad derivative hide among many good ones.
-        error = jnp.maximum(by_row[0], jnp.max(by_row[1:], axis=0, initial=0.0) / slack)
+        error = jnp.maximum(by_row[0], jnp.max(by_row[1:], axis=0, initial=0.0) / factor)
         is_right = jnp.logical_not(jnp.isnan(error))
-        if step.stray is not None:
-            is_right = is_right & self._holds_together(step.stray, step, scale)
+        if step.stage_defect is not None:
+            is_right = is_right & self._holds_together(step.stage_defect, step, scale)
         return jax.lax.stop_gradient((jnp.where(is_right, error, jnp.inf), error < jnp.inf))
 
-    def _holds_together(self, stray: Array, step: BlockSteps, scale) -> Bool[Array, " n_lanes"]:
+    def _holds_together(self, stage_defect: Array, step: BlockSteps, scale) -> Bool[Array, " n_lanes"]:
         """Whether the last stage that has the step's end for its instant is nearer to it than the start is.
 
         The check of the error's estimate, which knows only stages that have a weight in it. A first step in contact of
@@ -512,7 +512,7 @@ class Landing:
         far as the step went. In steps that are right it does by 0.8 times at most at an rtol of 1e-3, 0.3 at 1e-4 and
         0.01 at 1e-8 (impacts of a four-bar and of balls in sockets).
         """
-        strayed, moved = (self._by_row(each / scale)[0] for each in (stray, step.y1 - step.y0))
+        strayed, moved = (self._by_row(each / scale)[0] for each in (stage_defect, step.y1 - step.y0))
         return strayed <= jnp.maximum(moved, _NO_STRAY)
 
     def _by_row(self, by_scale) -> Float[Array, "n_rows n_lanes"]:

@@ -48,8 +48,8 @@ class LaneProblem(NamedTuple):
         room: how soon [s] something comes that no step may pass over (parameters, t, y), or None.
         n_judged: entries of the state whose errors are judged, the first ones; None for all.
         samples: of force elements that sample, or None.
-        slack_of: how much larger the errors of sensitivities may be than the state's, from a run's parameters; None
-            where there are none.
+        tangent_tolerance_factor: how much larger the errors of sensitivities may be than the state's, from a run's
+            parameters; None where there are none.
         in_machine_code: whether the programs become machine code of their own.
         program: of (theta, t, y), which `rate` evaluates inside; None where it does something else.
         moving: entries of theta that the sensitivities are by; None for all.
@@ -70,7 +70,7 @@ class LaneProblem(NamedTuple):
     room: Callable | None = None
     n_judged: int | None = None
     samples: SampledElements | None = None
-    slack_of: Callable | None = None
+    tangent_tolerance_factor: Callable | None = None
     in_machine_code: bool = False
     program: Any = None
     moving: tuple[int, ...] | None = None

@@ -32,7 +32,7 @@ class TrialStep(NamedTuple):
         dense_info: what the solver's interpolation is made from.
         solver_state: the solver's state at its end.
         result: whether the solver could make it, as `diffrax.RESULTS`; None where it always can.
-        stray: how far the last stage at the step's end, other than the end itself, is from it; None without one.
+        stage_defect: how far the last stage at the step's end, other than the end itself, is from it; None without one.
     """
 
     y: Array
@@ -40,7 +40,7 @@ class TrialStep(NamedTuple):
     dense_info: dict[str, Any]
     solver_state: Any
     result: Any
-    stray: Array | None = None
+    stage_defect: Array | None = None
 
 
 def own_time(share: Array, bend: Array) -> Array:
@@ -81,9 +81,9 @@ class ExplicitStages:
         self.n_stages = len(self.weights) if with_dense_output else n_used
         # Polynomials for states inside a step are made from the stages of the step itself: no evaluation is added.
         self.inside = extension(self.coefficients[:n_used, :n_used], self.weights[:n_used])
-        stray = _stray_of_a_stage(self.coefficients, self.instants, self.weights)
+        stage_defect = _defect_of_a_stage(self.coefficients, self.instants, self.weights)
         lower = tableau.b_lower if isinstance(tableau, TwoErrors) else None
-        sums = [self.weights, self.error_weights, *(each for each in (lower, stray) if each is not None)]
+        sums = [self.weights, self.error_weights, *(each for each in (lower, stage_defect) if each is not None)]
         self.tableau = explicit_tableau(tableau, self.n_stages, sums)
         self.has_two_errors = lower is not None
         self.can_look = can_look(self.coefficients, self.instants)
@@ -176,7 +176,7 @@ def steps_of(
     return MappedSteps(solver, rate)
 
 
-def _stray_of_a_stage(coefficients: np.ndarray, instants: np.ndarray, weights: np.ndarray) -> np.ndarray | None:
+def _defect_of_a_stage(coefficients: np.ndarray, instants: np.ndarray, weights: np.ndarray) -> np.ndarray | None:
     """Weights of how far the last stage at a step's end, other than the end itself, is from it; None without one."""
     differences = [row - weights for row, c in zip(coefficients, instants, strict=True) if c == 1]
     others = [difference for difference in differences if np.any(np.abs(difference) > 1e-12)]
