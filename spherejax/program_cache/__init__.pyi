@@ -3,6 +3,7 @@
 from . import disk_cache, fingerprints, folders, keys, settings, several_devices, user_code
 from .garbage import gc_paused
 from .jit import cached_jit
+from .keys import memoized
 
 __all__ = [
     "cached_jit",

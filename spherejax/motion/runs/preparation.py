@@ -23,6 +23,7 @@ from spherejax.motion.start.jumps import jump_conditions
 from spherejax.motion.start.points_beside import points_beside
 from spherejax.motion.start.start_now import KnownStart, known_start
 from spherejax.motion.start.tolerances import Tolerances, component_tolerances, controller_for
+from spherejax.program_cache import memoized
 from spherejax.program_cache.keys import own, own_arrays, value_key
 
 N_SCENES = 64

@@ -56,6 +56,7 @@ from spherejax.motion.solvers.root_finder import with_converging_root_finder
 from spherejax.motion.start.assembly import Assembly
 from spherejax.motion.start.start_now import StartWarning
 from spherejax.motion.start.tolerances import controller_for, tolerances_in_all_units, tolerances_of
+from spherejax.program_cache import memoized
 from spherejax.program_cache.keys import own_arrays, value_key
 from spherejax.program_cache.user_code import read_once
 from spherejax.runtime import require_float64

@@ -48,7 +48,7 @@ from spherejax.motion.runs.simulate import (
 )
 from spherejax.motion.settings import DEFAULT_MAX_STEPS, RunSettings
 from spherejax.motion.start.start_now import StartWarning
-from spherejax.program_cache import cached_jit
+from spherejax.program_cache import cached_jit, memoized
 from spherejax.runtime import require_float64
 
 GEOMETRY = ("attachment", "coordinate", "place")
