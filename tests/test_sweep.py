@@ -245,6 +245,7 @@ def test_derivatives_of_a_sweep():
     [
         ([], "asks for nothing"),
         (["speed.bob"], "names no quantity"),
+        (["max position.bob"], r"or .final. or .peak. before one, as .peak position.bob."),
         (["position.bib"], "one of 'bob'"),
         (["onsets.pivot"], "has no contact"),
         (["position.bob", "position.bob"], "twice"),

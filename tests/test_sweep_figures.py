@@ -10,7 +10,7 @@ from spherejax.cli import main
 from spherejax.command_line.shown import ShownNumbers, in_units
 from spherejax.command_line.sweep_check import changes, check_runs
 from spherejax.motion.integration.status import Status
-from spherejax.output.plot.swept import figures_of_sweep
+from spherejax.output.plot.swept import FEW_CELLS, figures_of_sweep
 from spherejax.output.plot.swept_axes import outliers
 from spherejax.studies.sweep import product, sobol_samples, zipped
 from spherejax.studies.sweep.dataset import COUNTED, RunsColumn, SweepAccount, coordinates_of, dataset_of
@@ -71,7 +71,8 @@ def test_a_curve_marks_failed_runs():
 def test_axes_have_the_units_in_which_parameters_are_told():
     told = in_units(swept(product({"a": A, "b": B})), {"a": ShownNumbers("mm", 1e-3), "b": ShownNumbers()})
     (panel,) = drawn(figures_of_sweep(told)["n_steps"])
-    assert (panel.get_xlabel(), panel.get_ylabel(), panel.get_xlim()) == ("a [mm]", "b", (1e3, 2e3))
+    assert (panel.get_xlabel(), panel.get_ylabel()) == ("a [mm]", "b")
+    np.testing.assert_allclose(panel.get_xticks(), 1e3 * A)
     told = in_units(swept(zipped({"a": A})), {"a": ShownNumbers("mm", 1e-3)})
     assert drawn(figures_of_sweep(told)["n_steps"])[0].get_xlabel() == "a [mm]"
 
@@ -85,7 +86,7 @@ def test_a_map_marks_failed_cells():
         assert "2 failed runs" in panel.get_title(loc="right")
 
 
-def test_a_map_ends_at_the_swept_values_and_a_constant_has_none():
+def test_a_map_has_whole_cells_and_a_constant_has_no_map():
     result = swept(product({"a": A, "b": B}))
     result["ends"] = xarray.where(result["axis"] == result["axis"][1], 0.5, result["ends"]).assign_attrs(units="m")
     result["ends"] = result["ends"].transpose("a", "b", "axis")
@@ -93,8 +94,17 @@ def test_a_map_ends_at_the_swept_values_and_a_constant_has_none():
     assert len(drawn(figure)) == 2
     assert "is 0.5 in all runs" in figure.get_suptitle()
     for ax in drawn(figure):
-        assert (ax.get_xlim(), ax.get_ylim()) == ((A.min(), A.max()), (B.min(), B.max()))
+        half = np.diff(A)[[0, -1]] / 2
+        np.testing.assert_allclose(ax.get_xlim(), (A[0] - half[0], A[-1] + half[1]))
+        np.testing.assert_allclose(ax.get_xticks(), A)
         assert crosses(ax) == int((result["status"] > 0).sum()) > 0
+
+
+def test_a_map_of_many_cells_ends_at_the_swept_values():
+    many = np.linspace(1.0, 2.0, FEW_CELLS + 1)
+    (panel,) = drawn(figures_of_sweep(swept(product({"a": many, "b": B})), "many")["n_steps"])
+    assert panel.get_xlim() == (1.0, 2.0)
+    assert len(panel.get_yticks()) == len(B)
 
 
 @pytest.mark.parametrize("kind", ["product", "samples"])

@@ -3,6 +3,7 @@
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from spherejax.output.plot.style import ABOVE_LEFT, LAW_COLORS, legend_below, new_figure, note
@@ -109,6 +110,24 @@ def _curves(swept, panels, parameter: str, title: str) -> Figure:
     return figure
 
 
+FEW_CELLS = 8
+"""Values along an axis of a map up to which each has a tick, and its cell is whole."""
+
+
+def limit_cells(ax: Axes, values: Any, axis: str) -> None:
+    """The range of an axis of a map: whole cells where they are few, and else what was swept.
+
+    The outer cells reach beyond what was swept, by half of their width. Of many cells that is cut off; of three the one
+    in the middle would look as if it stood for half of the range.
+    """
+    places = np.unique(np.asarray(values))
+    is_x = axis == "x"
+    if len(places) <= FEW_CELLS and (ax.get_xscale() if is_x else ax.get_yscale()) == "linear":
+        (ax.set_xticks if is_x else ax.set_yticks)(places)
+    else:
+        (ax.set_xlim if is_x else ax.set_ylim)(float(places[0]), float(places[-1]))
+
+
 def _maps(swept, panels, parameters: list[str], title: str) -> Figure:
     figure, axes = _sheet(panels, title, 4.6, 3.8)
     across, up = parameters
@@ -125,9 +144,8 @@ def _maps(swept, panels, parameters: list[str], title: str) -> Figure:
         label(ax, with_unit(across, values[across]), with_unit(up, values[up]))
         logarithmic_where_even(ax, values[across], "x")
         logarithmic_where_even(ax, values[up], "y")
-        # The outer cells would reach beyond what was swept.
-        ax.set_xlim(float(values[across].min()), float(values[across].max()))
-        ax.set_ylim(float(values[up].min()), float(values[up].max()))
+        limit_cells(ax, values[across], "x")
+        limit_cells(ax, values[up], "y")
         n_failed = mark_failures(ax, swept, across, up)
         if n_failed:
             ax.set_title(f"crosses: {n_failed} failed runs", loc="right", fontsize=8)

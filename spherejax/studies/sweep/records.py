@@ -251,4 +251,9 @@ def _kept(name, item, system: System) -> Kept:
     if first in ("final", "peak") and rest:
         found = quantity(rest.strip(), system)
         return Kept(f"{first}_{found.name}", "final" if first == "final" else "peak", found)
+    if rest and first.islower():
+        raise SceneError(
+            f"{item!r}: a record is a quantity, or 'final' or 'peak' before one, as 'peak {rest.strip()}'; for "
+            "anything else give a function of the run"
+        )
     return Kept(item, "samples", quantity(item, system))
