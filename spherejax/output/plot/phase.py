@@ -56,5 +56,5 @@ def _share_limits(axes: np.ndarray, models: Mapping[str, Curves]) -> None:
 
 def _set_range(setter, values: list[np.ndarray]) -> None:
     low, high = min(np.nanmin(v) for v in values), max(np.nanmax(v) for v in values)
-    room = 0.05 * max(high - low, 1e-9 * abs(low), 1e-12)  # of a body at rest, more than rounding
-    setter(low - room, high + room)
+    margin = 0.05 * max(high - low, 1e-9 * abs(low), 1e-12)  # of a body at rest, more than rounding
+    setter(low - margin, high + margin)

@@ -80,11 +80,11 @@ OFF_LINE, OFF_PLANE = 0.02, 0.1
 joined to them."""
 
 
-def _is_inside(point: np.ndarray, corners: np.ndarray, room: float) -> bool:
+def _is_inside(point: np.ndarray, corners: np.ndarray, tolerance: float) -> bool:
     """Whether a point lies in a convex outline, counterclockwise, or not farther than `room` outside of it."""
     sides = np.roll(corners, -1, axis=0) - corners
     outward = np.stack([sides[:, 1], -sides[:, 0]], -1) / np.linalg.norm(sides, axis=1, keepdims=True)
-    return bool(np.all(np.sum((point - corners) * outward, axis=1) < room))
+    return bool(np.all(np.sum((point - corners) * outward, axis=1) < tolerance))
 
 
 def place_in_row(row: np.ndarray, center: np.ndarray) -> np.ndarray:

@@ -238,10 +238,10 @@ def _band(name: str) -> float:
     return {"ground": 2.0, "body": 3.0, "force": 4.0, "joint": 5.0, "frame": 6.0}[name.partition(":")[0]]
 
 
-def _limits(points: np.ndarray, room: float) -> tuple[np.ndarray, np.ndarray]:
+def _limits(points: np.ndarray, least_size: float) -> tuple[np.ndarray, np.ndarray]:
     low, high = points.min(axis=0), points.max(axis=0)
-    size = max(float((high - low).max()), room, 1e-300)
-    return low - room - 0.3 * MARGIN * size, high + room + 0.3 * MARGIN * size
+    size = max(float((high - low).max()), least_size, 1e-300)
+    return low - least_size - 0.3 * MARGIN * size, high + least_size + 0.3 * MARGIN * size
 
 
 # What surrounds the mechanism ------------------------------------------------------------------------------------

@@ -265,11 +265,11 @@ def limit_by_bulk(ax: Axes, curves: Sequence[np.ndarray], *, keep: float = 97.0,
     high = max(np.percentile(values, 100 - (100 - keep) / 2) for values in finite)
     # A bulk of equal values (a body in free fall, or at rest) has no range, and Matplotlib warns of equal limits.
     size = max(abs(low), abs(high))
-    room = margin * (high - low if high - low > 1e-6 * size else 0.1 * size or 1.0)
+    gap = margin * (high - low if high - low > 1e-6 * size else 0.1 * size or 1.0)
     lowest, highest = min(v.min() for v in finite), max(v.max() for v in finite)
-    bottom, top = max(low - room, lowest - 0.05 * room), min(high + room, highest + 0.05 * room)
+    bottom, top = max(low - gap, lowest - 0.05 * gap), min(high + gap, highest + 0.05 * gap)
     ax.set_ylim(bottom, top)
-    if lowest < bottom - 0.05 * room or highest > top + 0.05 * room:
+    if lowest < bottom - 0.05 * gap or highest > top + 0.05 * gap:
         note(ax, f"axis clipped; peaks from {lowest:.3g} to {highest:.3g}")
 
 

@@ -31,6 +31,9 @@ from spherejax.physics.memory import MemoryEntry, Scale
 class Extension(AbstractStretch):
     """How much farther two points are from each other than at the start [m]: the stroke of a cylinder.
 
+    It is 0 at the start, so a setpoint of 0 holds the start's length, and 0.02 lengthens by 20 mm. For a target length L
+    give L less the distance at the start, which is `start` of the compiled coordinate.
+
     Attributes:
         ends: `"body.point"` of two points; `"body"` alone is its center of mass.
         attachment: the geometry in body axes, once the scene is compiled.

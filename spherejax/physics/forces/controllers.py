@@ -119,11 +119,11 @@ class AbstractController(AbstractMotor, AbstractForceWithMemory):
         middle, half = (low + high) / 2, (high - low) / 2
         return middle + half * jnp.tanh((effort - middle) / half)
 
-    def _unwinding(self, asked: Scalar, effort: Scalar) -> Scalar | float:
+    def _unwinding(self, demand: Scalar, effort: Scalar) -> Scalar | float:
         """What limits take from the integral, by time [N/s or N m/s]."""
         if self.limits is None or self.tracking_time is None:
             return 0.0
-        return (effort - asked) / self.tracking_time
+        return (effort - demand) / self.tracking_time
 
     def _parts(self, seen: Sensed, effort: Scalar) -> dict[str, Scalar]:
         return {
@@ -269,16 +269,16 @@ class PID(AbstractController):
     def action(self, t, motions, memory):
         """`effort` [N or N m]; `position`, `rate` of the coordinate, `reference`, `error`."""
         kept, seen = self._entries(memory), self._measured(t, motions)
-        asked = self.proportional * seen.error + self.offset
+        demand = self.proportional * seen.error + self.offset
         rates = []
         if self.integral is not None:
-            asked = asked + kept["integral"]
+            demand = demand + kept["integral"]
         rate = self._error_rate(seen, kept)
         if self.derivative is not None:
-            asked = asked + self.derivative * rate
-        effort = self._limited(asked)
+            demand = demand + self.derivative * rate
+        effort = self._limited(demand)
         if self.integral is not None:
-            rates.append(self.integral * seen.error + self._unwinding(asked, effort))
+            rates.append(self.integral * seen.error + self._unwinding(demand, effort))
         if self._filters:
             rates.append(rate)
         wrenches = self.coordinate.wrenches(motions, effort)

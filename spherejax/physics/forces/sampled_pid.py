@@ -133,17 +133,17 @@ class SampledPID(AbstractController):
     def sampled(self, t, motions, memory):
         """The memory behind a sample."""
         now, seen = self._entries(memory), self._measured(t, motions)
-        asked = self.proportional * seen.error + self.offset
+        demand = self.proportional * seen.error + self.offset
         if self.integral is not None:
-            asked = asked + now["integral"]
+            demand = demand + now["integral"]
         if self.derivative is not None:
             smoothing: Any = self.filter_time
             difference = (seen.error - now["filtered"]) / (self.period + smoothing)
-            asked = asked + self.derivative * difference
+            demand = demand + self.derivative * difference
             now["filtered"] = now["filtered"] + self.period * difference
-        effort = self._limited(asked)
+        effort = self._limited(demand)
         if self.integral is not None:
-            growing = self.integral * seen.error + self._unwinding(asked, effort)
+            growing = self.integral * seen.error + self._unwinding(demand, effort)
             now["integral"] = now["integral"] + self.period * growing
         now["effort"], now["coming"] = (now["coming"], effort) if self.delayed else (effort, effort)
         return jnp.stack([now[entry.name] for entry in self.memory])

@@ -178,8 +178,8 @@ class _Quadrature(AbstractFunction):
         begun = jnp.concatenate([jnp.ones(1, bool), x >= begins[1:]])
         is_here = begun & jnp.concatenate([~begun[1:], jnp.ones(1, bool)])
         begin, before = (jnp.sum(jnp.where(is_here, column, 0.0)) for column in (begins, before))
-        slack = BEYOND * jnp.abs(length)
-        is_known = (x >= self.low - slack) & (x <= self.high + slack)
+        tolerance = BEYOND * jnp.abs(length)
+        is_known = (x >= self.low - tolerance) & (x <= self.high + tolerance)
         # The rate sees places within alone: it may be undefined elsewhere.
         part = jnp.where(is_known, x, begin) - begin
         within = part * (self._values(begin + part * POINTS) @ WEIGHTS)

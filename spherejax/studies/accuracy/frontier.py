@@ -94,16 +94,16 @@ def advice(points: Sequence[FrontierPoint], *, floor: float = 0.0, unit: str = "
             f"Every run is as good as the reference resolves ({floor:.0e} {unit}); the quickest is "
             f"{best.solver} at rtol {best.rtol:.0e}: {duration(best.seconds)}."
         )
-    asked = usual_target(points) if target is None else target
-    now = price(points, asked)
+    target_error = usual_target(points) if target is None else target
+    now = price(points, target_error)
     if now is None:
         best = efficient(points)[-1]
         return (
-            f"No run reaches {asked:.0e} {unit}; the nearest is {best.solver} at rtol {best.rtol:.0e}: "
+            f"No run reaches {target_error:.0e} {unit}; the nearest is {best.solver} at rtol {best.rtol:.0e}: "
             f"{best.error:.1e} {unit} in {duration(best.seconds)}."
         )
-    sentence = f"{asked:.0e} {unit} costs {duration(now.seconds)} with {now.solver} at rtol {now.rtol:.0e}"
-    finer = price(points, asked / 10)
+    sentence = f"{target_error:.0e} {unit} costs {duration(now.seconds)} with {now.solver} at rtol {now.rtol:.0e}"
+    finer = price(points, target_error / 10)
     if finer is None:
         return f"{sentence}; no run shows what one more digit costs."
     with_other = "" if finer.solver == now.solver else f" (with {finer.solver})"

@@ -87,10 +87,10 @@ def balance_at(mechanism: IdealMechanism, t: Scalar, motion: Motion, memory: Flo
     # As in `constrained_least_squares`: what is rounding in Q B is seen beside the columns of a projector.
     beyond = jnp.concatenate([B - carried @ B, carried], 1)
     B_inverse = pseudoinverse(beyond)[: B.shape[1]]
-    asked = known.mass @ motion.accelerations.ravel() - known.applied
+    required = known.mass @ motion.accelerations.ravel() - known.applied
 
     def solved(friction):
-        right = counted * (asked - friction)
+        right = counted * (required - friction)
         u = B_inverse @ right
         return right, u, G_inverse @ (B @ u - right)
 
@@ -103,7 +103,7 @@ def balance_at(mechanism: IdealMechanism, t: Scalar, motion: Motion, memory: Flo
                 flat = flat.at[rows[name]].set(-effort)
         return flat
 
-    right, u, mu = solved(jnp.zeros_like(asked))
+    right, u, mu = solved(jnp.zeros_like(required))
     change, rubbed = jnp.zeros(()), {}
     if system.friction_joints:
 
