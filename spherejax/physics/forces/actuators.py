@@ -31,8 +31,8 @@ from spherejax.physics.memory import MemoryEntry, Scale
 class Extension(AbstractStretch):
     """How much farther two points are from each other than at the start [m]: the stroke of a cylinder.
 
-    It is 0 at the start: a reference of 0 holds the start's length, and one of 0.02 lengthens it by 20 mm. For a length L
-    give L less the distance at the start, which is `start` of the compiled coordinate.
+    It is 0 at the start: a reference of 0 holds the start's length, and one of 0.02 lengthens it by 20 mm. For a length
+    L give L less the distance at the start, which is `start` of the compiled coordinate.
 
     Attributes:
         ends: `"body.point"` of two points; `"body"` alone is its center of mass.
