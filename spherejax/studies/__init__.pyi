@@ -23,6 +23,7 @@ from .model_choice import Candidate, ModelComparison, ModelEvidence, compare_mod
 from .play import PosePlay, pose_play
 from .rubber import DynamicStiffness, StiffnessFit, dynamic_stiffness, fit_stiffness
 from .sensitivity import Sensitivities
+from .stiffness import EndCompliance, end_compliance
 from .subject import Comparison, ModelRow
 from .sweep import Grid, Sensitivity, Tolerance, open_sweep, product, random_samples, sobol_samples, zipped
 from .uncertainty import Scatter, SobolIndices, ToleranceBudget, monte_carlo, sobol_indices, tolerance_budget
@@ -39,6 +40,7 @@ __all__ = [
     "Design",
     "Differentiator",
     "DynamicStiffness",
+    "EndCompliance",
     "Fit",
     "Grid",
     "GrowingHorizon",
@@ -71,6 +73,7 @@ __all__ = [
     "compare_models",
     "continuation",
     "dynamic_stiffness",
+    "end_compliance",
     "fit_stiffness",
     "inverse_dynamics",
     "joint_models",
