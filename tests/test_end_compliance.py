@@ -73,6 +73,7 @@ def test_the_compliance_of_a_linkage_against_equilibria_under_loads():
         np.testing.assert_allclose(found.compliance[:3, i], difference, atol=1e-5 * size)
 
 
+@pytest.mark.slow
 def test_derivative_by_a_stiffness():
     def at(scale):
         return sj.studies.end_compliance(mounted(scale), "hand.tool").compliance[2, 2]

@@ -79,6 +79,7 @@ def law(u, rate, gear):
     return -side * max(0.0, gear["stiffness"] * ramp + rise * gear["damping"] * side * rate)
 
 
+@pytest.mark.slow
 def test_backlash_of_an_actuator_against_scipy():
     """The numbers of mujoco's issue 3468: rotor 0.01 kg m^2, dead band +-0.05 rad, 1e4 N m/rad, 2 N m s/rad."""
     gear = {"backlash": 0.1, "stiffness": 1e4, "damping": 2.0, "onset": 1e-4}
@@ -160,6 +161,7 @@ class RattleMap(NamedTuple):
         return np.array(found)
 
 
+@pytest.mark.slow
 def test_a_rattling_wheel_follows_the_map_of_impacts():
     """One stage as published, in the limit of hard flanks: instants and speeds of the first meetings."""
     module = importlib.import_module("spherejax.gallery.rattling_gears")
@@ -182,6 +184,7 @@ def test_a_rattling_wheel_follows_the_map_of_impacts():
     assert errors[1] < 1e-2 < errors[0] < 1e-1
 
 
+@pytest.mark.slow
 def test_a_stiffness_that_varies_with_the_teeth_keeps_the_energy():
     teeth = 21
     profile = {"profile": sj.functions.Sine(0.3, 1.0, offset=1.0), "pitch": 2 * np.pi / teeth}
@@ -206,7 +209,7 @@ def test_a_stiffness_that_varies_with_the_teeth_keeps_the_energy():
     np.testing.assert_allclose(run.force("mesh")["lag"], lag, atol=1e-6)
 
 
-@pytest.mark.parametrize("efficiency", [1.0, 0.6])
+@pytest.mark.parametrize("efficiency", [pytest.param(1.0, marks=pytest.mark.slow), 0.6])
 def test_a_screw_lifts_and_falls_by_its_efficiency(efficiency):
     lead = 0.005 / (2 * np.pi)
     nut = sj.Body(20.0, (0.1, 0.1, 0.1), position=(0.0, 0.0, 0.0))
@@ -242,6 +245,7 @@ def test_a_screw_lifts_and_falls_by_its_efficiency(efficiency):
     assert moment(-10.0) == pytest.approx(weight * (2 - 1 / efficiency), rel=1e-4)
 
 
+@pytest.mark.slow
 def test_a_train_of_two_meshes_and_inverse_dynamics():
     """Three shafts: at a steady speed the moment goes through by the ratios; inverse dynamics gives it back."""
     three = sj.Turn(("ground", "three"), AXIS)
@@ -260,6 +264,7 @@ def test_a_train_of_two_meshes_and_inverse_dynamics():
     np.testing.assert_allclose(inverse_dynamics(scene, run).effort("motor"), effort, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_derivatives_by_every_number():
     gear = {"backlash": 0.02, "stiffness": 500.0, "damping": 0.5, "onset": 1e-3, "offset": 1e-3}
     start = {"ratio": -0.5, **gear, "pitch": 0.3, "efficiency": 0.9}

