@@ -124,7 +124,10 @@ def test_a_figure_of_a_spectrum_reaches_as_far_as_there_is_content():
             attrs=attributes,
         )
         (ax,) = sj.plot.spectrum(found).axes
-        return ax.get_xlim()[1], [text.get_text() for text in ax.texts]
+        return ax.get_xlim()[1], [text.get_text() for text in ax.texts], ax.get_yscale()
 
-    assert shown(amplitude) == (11.0, ["below 0.5% of the largest from 11 to 1000 Hz"])
-    assert shown(np.full(1000, 1.0)) == (1000.0, [])
+    assert shown(amplitude) == (11.0, ["below 0.5% of the largest from 11 to 1000 Hz"], "linear")
+    low_tone = np.where(frequencies == 500.0, 0.01, amplitude)
+    assert shown(low_tone)[0] == pytest.approx(550.0)
+    assert shown(low_tone)[2] == "log"
+    assert shown(np.full(1000, 1.0)) == (1000.0, [], "linear")

@@ -15,6 +15,17 @@ CONTENT = 0.005
 """Amplitudes below this share of the largest are no content: on the figure they lie on the axis."""
 
 
+FLAT = 0.03
+"""Peaks lower than this share of the largest lie on a linear axis, which is logarithmic then."""
+
+
+def _is_logarithmic(frequencies: np.ndarray, lines: np.ndarray, reach: float) -> bool:
+    """Whether the highest amplitude in the upper half of the frequencies shown would lie on a linear axis."""
+    rows = np.abs(lines).max(axis=1)
+    upper = rows[(frequencies > 0.5 * reach) & (frequencies <= reach)]
+    return bool(upper.size and CONTENT * np.nanmax(rows) < upper.max() < FLAT * np.nanmax(rows))
+
+
 def _reach(frequencies: np.ndarray, lines: np.ndarray) -> float:
     """The frequency [Hz] up to which there is content, and a tenth more; all of them where the last ones have some."""
     rows = np.abs(lines).max(axis=1)
@@ -27,7 +38,8 @@ def spectrum(found: "xarray.Dataset", title: str = "") -> Figure:
     """Amplitude by frequency, a line for each component; the mean is taken off and is not drawn.
 
     The frequencies reach as far as there is content: up to a tenth beyond the last amplitude above 0.5 % of the
-    largest, which the figure says. `found` has all of them.
+    largest, which the figure says. `found` has all of them. Amplitudes are logarithmic where the upper half of these
+    frequencies has content that would lie on a linear axis.
 
     Args:
         found: what `run.spectrum("reaction.elbow.z")` gives.
@@ -46,7 +58,11 @@ def spectrum(found: "xarray.Dataset", title: str = "") -> Figure:
     ax.set_xlim(0.0, reach)
     if reach < last:
         note(ax, f"below {CONTENT:.1%} of the largest from {reach:.4g} to {last:.4g} Hz", place=(0.99, 0.98))
-    ax.set_ylim(bottom=0.0)
+    if _is_logarithmic(frequencies, lines, reach):
+        ax.set_yscale("log")
+        ax.set_ylim(bottom=0.1 * CONTENT * float(np.nanmax(np.abs(lines))))
+    else:
+        ax.set_ylim(bottom=0.0)
     ax.set_xlabel("frequency [Hz]")
     ax.set_ylabel(f"amplitude [{amplitude.attrs['units']}]")
     if len(names) > 1:
