@@ -324,7 +324,8 @@ def test_another_law_of_impact_needs_no_other_program():
     assert len({each.structure for each in found}) == 1
     assert len({each.theta.tobytes() for each in found}) == len(laws)
     system = found[2].system()
-    assert system.joints["coupler_rocker"].model.normal == laws[2]
+    assert type(system.joints["coupler_rocker"].model.normal) is type(laws[2])
+    assert float(system.joints["coupler_rocker"].model.normal.restitution) == 0.9
     other = sj.gallery.four_bar(sj.Dry(1e-4, normal=sj.Hertz()))  # which remembers no onset
     assert prepared(other, False, None).structure != found[0].structure
 
@@ -360,4 +361,5 @@ def test_a_run_by_the_factor_is_that_by_the_law():
         np.testing.assert_allclose(
             state_rate(with_laws_by_factor(by_law), t, y), state_rate(by_law, t, y), rtol=1e-12, atol=1e-12
         )
-    assert run.system.joints["coupler_rocker"].model.normal == law
+    assert type(run.system.joints["coupler_rocker"].model.normal) is type(law)
+    assert float(run.system.joints["coupler_rocker"].model.normal.restitution) == 0.6

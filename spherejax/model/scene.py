@@ -12,7 +12,7 @@ from spherejax.foundations.errors import SceneError
 from spherejax.foundations.forms import malformed, mapping_of, of_form
 from spherejax.foundations.types import Numeric, Triple
 from spherejax.model.drift import AbstractDriftControl, PostStabilization
-from spherejax.physics.bodies import GROUND, Body, numbers
+from spherejax.physics.bodies import GROUND, Body, in_arrays, numbers
 from spherejax.physics.forces.base import AbstractForce
 from spherejax.physics.joints.joint import AbstractJoint
 from spherejax.program_cache.keys import LruCache, lru_get, value_key
@@ -30,7 +30,10 @@ class Scene(eqx.Module):
         drift: how drift off the constraints is held back: `PostStabilization()` (default), `Projection()`,
             `Baumgarte()` or `NoDriftControl()`.
 
-    Scenes are pytrees: every physical number in them is a leaf that can be swept, batched and differentiated.
+    Scenes are pytrees: every physical number in them is a leaf that can be swept, batched and differentiated. Numbers
+    are arrays of NumPy from here on (`np.float64`, which is a `float` too): transformations that look for arrays, such
+    as `equinox.filter_grad` and `equinox.filter_jit`, take all of them. What is put into the dictionaries later stays
+    as it is given.
     """
 
     bodies: Mapping[str, Body]
@@ -51,14 +54,17 @@ class Scene(eqx.Module):
         drift: AbstractDriftControl | None = None,
     ):
         self.bodies = mapping_of("bodies", bodies, '{"arm": sj.Body(...)}')
-        self.joints = mapping_of("joints", {} if joints is None else joints, '{"elbow": sj.Spherical(...)}')
-        self.forces = mapping_of("forces", {} if forces is None else forces, '{"spring": sj.SpringDamper(...)}')
+        joints = mapping_of("joints", {} if joints is None else joints, '{"elbow": sj.Spherical(...)}')
+        forces = mapping_of("forces", {} if forces is None else forces, '{"spring": sj.SpringDamper(...)}')
+        # Bodies have arrays of their own; a part at a time, for JAX sorts the keys of a dictionary.
+        self.joints = {name: in_arrays(part) for name, part in joints.items()}
+        self.forces = {name: in_arrays(part) for name, part in forces.items()}
         self.gravity = numbers(gravity)
         places = mapping_of(
             "ground_points", {} if ground_points is None else ground_points, '{"hook": (0.0, 0.0, 1.0)}'
         )
         self.ground_points = {name: numbers(place) for name, place in places.items()}
-        self.drift = PostStabilization() if drift is None else drift
+        self.drift = in_arrays(PostStabilization() if drift is None else drift)
 
     def find(self, name: str) -> tuple[str, Numeric]:
         """Resolve `"body.point"` to the body's name and the point in its axes [m].

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import Annotated, Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -70,7 +71,7 @@ class Body(eqx.Module):
         reference_position: Annotated[Triple, Unit("m")] = None,
         reference_quaternion: Annotated[Quadruple, Unit("1")] = None,
     ):
-        self.mass = mass
+        self.mass = in_array(mass)
         self.inertia = numbers(inertia)
         self.position = numbers(position)
         self.quaternion = numbers(as_quaternion(quaternion))
@@ -294,6 +295,41 @@ def unit_norm(field: str, quaternion: Numeric) -> Requirement:
     norm_error = abs((quaternion**2).sum() ** 0.5 - 1)
     remedy = "Divide it by its norm; the scalar part comes first."
     return Requirement(field, quaternion, norm_error < UNIT_NORM_TOLERANCE, "have unit norm", remedy)
+
+
+def in_array(value: Any) -> Any:
+    """A plain number as `np.float64`, anything else as it is.
+
+    That is a `float` as before, known within a trace, and an array to `equinox.filter_grad` and `filter_jit`, which
+    would pass over a number of Python.
+    """
+    kind = type(value)
+    if kind is not float and kind is not int:
+        return value
+    try:
+        return np.float64(value)
+    except OverflowError:  # it is named with its place when the scene is checked
+        return value
+
+
+def in_arrays(part: Any) -> Any:
+    """A joint or a force element whose plain numbers are `np.float64`; one without plain numbers as it is.
+
+    In a user's own module whole numbers may be counts, and stay.
+    """
+    leaves, tree = jax.tree.flatten(part, is_leaf=_is_foreign)
+    arrays = [_of_foreign(leaf) if _is_foreign(leaf) else in_array(leaf) for leaf in leaves]
+    has_changed = any(one is not other for one, other in zip(arrays, leaves, strict=True))
+    return jax.tree.unflatten(tree, arrays) if has_changed else part
+
+
+def _of_foreign(module: Any) -> Any:
+    has_floats = any(type(leaf) is float for leaf in jax.tree.leaves(module))
+    return jax.tree.map(lambda x: np.float64(x) if type(x) is float else x, module) if has_floats else module
+
+
+def _is_foreign(node: Any) -> bool:
+    return isinstance(node, eqx.Module) and not type(node).__module__.startswith("spherejax.")
 
 
 def numbers(value):
