@@ -100,7 +100,7 @@ def attach(namespace: str, file: str) -> tuple[Callable[[str], Any], Callable[[]
 def _stub(path: Path) -> tuple[dict[str, str], list[str]]:
     """The module of each name of a stub, and the names that are public."""
     places, public = {}, []
-    for node in ast.parse(path.read_text()).body:
+    for node in ast.parse(path.read_text(encoding="utf-8")).body:
         if isinstance(node, ast.ImportFrom):
             places |= {alias.name: node.module for alias in node.names}
         elif isinstance(node, ast.Assign):

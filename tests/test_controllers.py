@@ -547,7 +547,7 @@ def test_controllers_in_files(tmp_path):
     np.testing.assert_array_equal(control.limits, [-2.0, 2.0])
     np.testing.assert_array_equal(shaker.values, [1000.0, 0.0])
     pid = sj.PID(sj.Extension(("ground", "rotor")), sj.functions.Sine(0.1, 2.0), 3.0, filter_time=0.1, derivative=1.0)
-    whole = eqx.tree_at(lambda s: s.forces, scene, {**scene.forces, "push": pid})
+    whole = sj.Scene(scene.bodies, scene.joints, {**scene.forces, "push": pid}, gravity=scene.gravity)
     again = tmp_path / "again.toml"
     sj.save_scene(whole, again)
     assert eqx.tree_equal(sj.load_scene(again), whole)

@@ -5,6 +5,7 @@ and a violated requirement raises a `SceneError` that names the place; values th
 `vmap`, `grad`) are judged inside the program and turn into the status of that lane.
 """
 
+import re
 import traceback
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -89,6 +90,10 @@ def enforce(place: str, requirements: Iterable[Requirement]) -> list[Bool[Array,
     return traced
 
 
+_NUMPYS = re.compile(r"np\.float64\(([^()]*)\)")
+"""How a number is printed in a part of a scene, where it is one of NumPy."""
+
+
 def shown(value) -> str:
     """A value for a message, not too long."""
     if not is_concrete(value):
@@ -97,7 +102,7 @@ def shown(value) -> str:
         array = np.asarray(value)
         if array.dtype.kind in "fiu":
             return f"{array.item():.6g}" if array.ndim == 0 else np.array2string(array, precision=6, threshold=12)
-        text = repr(value)
+        text = _NUMPYS.sub(r"\1", repr(value))
     except (ValueError, TypeError, OverflowError):  # rows of different lengths; integers of thousands of digits
         text = "a number of thousands of digits" if isinstance(value, int) else repr(value)
     return text if len(text) < 80 else f"{text[:77]}..."

@@ -227,7 +227,7 @@ def _power_in_unit(value: Any) -> str | None:
             value = in_si(value, PURE)
         except UnitError:
             return None
-    is_power = type(value) in (int, float) and abs(value) < 1e6
+    is_power = type(value) in (int, float, np.float64) and abs(value) < 1e6
     return f"{value:g}" if is_power else None
 
 

@@ -85,7 +85,7 @@ def _add_each(document: Any, key: str, described_objects: Mapping[str, tuple[dic
 def _table(values: Mapping[str, Any], made: Any, context: Context) -> Table:
     """A table: numbers with their units first, then the tables in it."""
     fields = fields_of(type(made))
-    words = {name: f"{value:g}" for name, value in values.items() if type(value) is float}
+    words = {name: f"{value:g}" for name, value in values.items() if isinstance(value, float)}
     words |= numbers_in_units(made) if dataclasses.is_dataclass(made) else {}
     inside = context._replace(words={**context.words, **words})
     table = tomlkit.table()
