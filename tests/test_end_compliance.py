@@ -26,26 +26,26 @@ def about(arm):
 
 
 def test_a_body_on_a_bushing_is_the_closed_form():
-    found = sj.studies.end_compliance(mounted(**NO_GRAVITY), "hand.tool")
+    result = sj.studies.end_compliance(mounted(**NO_GRAVITY), "hand.tool")
     A = about((0.3, 0.0, 0.1))
     stiffness = np.linalg.inv(A).T @ np.block([[K, np.zeros((3, 3))], [np.zeros((3, 3)), KR]]) @ np.linalg.inv(A)
-    np.testing.assert_allclose(found.stiffness, stiffness, rtol=1e-9, atol=1e-9 * np.abs(stiffness).max())
-    np.testing.assert_allclose(found.compliance, found.compliance.T, atol=1e-12 * np.abs(found.compliance).max())
+    np.testing.assert_allclose(result.stiffness, stiffness, rtol=1e-9, atol=1e-9 * np.abs(stiffness).max())
+    np.testing.assert_allclose(result.compliance, result.compliance.T, atol=1e-12 * np.abs(result.compliance).max())
 
 
 def test_a_pendulum_gives_way_by_its_weight():
     """m g l against rotation, and rigid in all other directions."""
     body = sj.Body(2.0, (0.1, 0.1, 0.1), position=(0.0, 0.0, -0.5), points={"end": (0.0, 0.0, -0.3)})
     scene = sj.Scene({"rod": body}, {"pivot": sj.Revolute(("ground", "rod"), (0.0, 0.0, 0.0), (0.0, 1.0, 0.0))})
-    found = sj.studies.end_compliance(scene, "rod.end")
+    result = sj.studies.end_compliance(scene, "rod.end")
     weight = 2.0 * 9.81 * 0.5
     # A force along x at the end, 0.8 m below the pivot, turns it by 0.8/weight against the right hand.
     expected = np.zeros((6, 6))
     way = np.array([-0.8, 0.0, 0.0, 0.0, 1.0, 0.0])
     expected = np.outer(way, way) / weight
-    np.testing.assert_allclose(found.compliance, expected, atol=1e-12)
+    np.testing.assert_allclose(result.compliance, expected, atol=1e-12)
     with pytest.raises(sj.SceneError, match="does not give way in 5 of 6 directions"):
-        found.stiffness  # noqa: B018
+        result.stiffness  # noqa: B018
 
 
 @pytest.mark.slow
@@ -57,7 +57,7 @@ def test_the_compliance_of_a_linkage_against_equilibria_under_loads():
     elastic = {name: sj.Fixed(scene.joints[name].bodies, scene.joints[name].point, model) for name in ("left", "right")}
     joints = {name: joint for name, joint in scene.joints.items() if not name.endswith("motor") and name not in elastic}
     robot = sj.Scene(scene.bodies, {**joints, "tip": tip, **elastic})
-    found = sj.studies.end_compliance(robot, "left_rod.tip")
+    result = sj.studies.end_compliance(robot, "left_rod.tip")
 
     def tip_under(load):
         push = {"push": sj.AppliedWrench("left_rod.tip", force=tuple(load[:3]), moment=tuple(load[3:]))}
@@ -66,11 +66,11 @@ def test_the_compliance_of_a_linkage_against_equilibria_under_loads():
         w, x = float(body.quaternion[0]), np.asarray(body.quaternion[1:])
         return np.asarray(body.position) + r + 2 * np.cross(x, np.cross(x, r) + w * r)
 
-    size = np.abs(found.compliance).max()
+    size = np.abs(result.compliance).max()
     for i, load in ((0, 0.1), (2, 0.1), (4, 0.01)):
         by = load * np.eye(6)[i]
         difference = (tip_under(by) - tip_under(-by)) / (2 * load)
-        np.testing.assert_allclose(found.compliance[:3, i], difference, atol=1e-5 * size)
+        np.testing.assert_allclose(result.compliance[:3, i], difference, atol=1e-5 * size)
 
 
 @pytest.mark.slow
@@ -95,3 +95,14 @@ def test_a_point_that_nothing_holds_is_told():
     with pytest.raises(sj.SceneError, match="no body 'hook'"):
         sj.studies.end_compliance(mounted(), "hook")
     assert jnp.all(jnp.isfinite(sj.studies.end_compliance(mounted(), "hand").stiffness))
+
+
+def test_a_bad_value_that_is_traced_has_no_compliance():
+    def entry(mass):
+        body = sj.Body(mass, (0.02, 0.03, 0.04), points={"mount": (0.0, 0.0, 0.0)})
+        law = sj.laws.MatrixElastomer(K, 1e-3 * K, KR, 1e-3 * KR)
+        joints = {"mount": sj.Fixed(("ground", "hand"), "hand.mount", sj.Bushing(law=law))}
+        return sj.studies.end_compliance(sj.Scene({"hand": body}, joints), "hand").compliance[0, 0]
+
+    assert float(jax.jit(entry)(2.0)) == pytest.approx(1 / K[0, 0], rel=1e-6)
+    assert np.isnan(jax.jit(entry)(-2.0))

@@ -109,3 +109,15 @@ def test_bad_requests(play):
         sj.studies.pose_play(sj.gallery.five_bar(model()), "ground")
     with pytest.raises(sj.SceneError, match="did you mean 'tip'"):
         play.change({"tipp": np.zeros(3)})
+
+
+def test_what_has_no_answer_is_nan_where_numbers_are_traced():
+    """An error names it where numbers are known; within a trace an answer would be taken for one."""
+
+    def reach(clearance):
+        return sj.studies.pose_play(sj.gallery.five_bar(model(clearance)), "left_rod.tip").reach((1, 0, 0))
+
+    with pytest.raises(sj.SceneError, match="clearance"):
+        reach(-1e-5)
+    assert np.isfinite(jax.jit(reach)(1e-5))
+    assert np.isnan(jax.jit(reach)(-1e-5))

@@ -168,6 +168,7 @@ def _settings_from(
         adjoint,
         derivative_rtol,
         before.max_steps if max_steps is None else max_steps,
+        track_work=state.system.tracks_work,
         scalar=before.scalar,
     )
 

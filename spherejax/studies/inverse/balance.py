@@ -107,9 +107,9 @@ def balance_at(mechanism: IdealMechanism, t: Scalar, motion: Motion, memory: Flo
     change, rubbed = jnp.zeros(()), {}
     if system.friction_joints:
 
-        def repeated(_, found):
-            friction = evaluated(rubbing, system, t, (y, multipliers_of(*found[1])))
-            return found[1], solved(friction.wrenches)[1:]
+        def repeated(_, before_and_now):
+            friction = evaluated(rubbing, system, t, (y, multipliers_of(*before_and_now[1])))
+            return before_and_now[1], solved(friction.wrenches)[1:]
 
         before, (u, mu) = jax.lax.fori_loop(0, FRICTION_PASSES, repeated, ((u, mu), (u, mu)))
         size = jnp.max(jnp.abs(mu), initial=0.0)
@@ -170,10 +170,10 @@ def _free_reactions(
 ) -> dict[str, Float[Array, "2"]]:
     """The same of forces, and of moments over L, by each joint's reaction to its entries of mu."""
     null = jnp.eye(len(resolution)) - resolution
-    found, start = {}, 0
+    shares, start = {}, 0
     for name, by_entry in reactions.items():
         stop = start + by_entry.shape[1]
         change = jnp.abs(by_entry @ null[start:stop])
-        found[name] = jnp.stack([jnp.max(change[:3]), jnp.max(change[3:]) / length])
+        shares[name] = jnp.stack([jnp.max(change[:3]), jnp.max(change[3:]) / length])
         start = stop
-    return found
+    return shares

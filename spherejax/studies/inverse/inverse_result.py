@@ -68,8 +68,8 @@ class InverseDynamics(eqx.Module):
 
         Of a driver it is as `Trajectory.driving_effort`: of one that prescribes several numbers, shape (n, k).
         """
-        found = _named(self.balance.efforts, motor, "motor")
-        return found[..., 0] if found.shape[-1] == 1 else found
+        effort = _named(self.balance.efforts, motor, "motor")
+        return effort[..., 0] if effort.shape[-1] == 1 else effort
 
     def power(self, motor: str) -> Float[Array, " n"]:
         """Power that a motor puts into the mechanism [W]."""
@@ -134,12 +134,12 @@ class InverseDynamics(eqx.Module):
         More motors than degrees of freedom leave efforts open, redundant constraints reactions. Those shown are the
         least ones, see `inverse_dynamics`. For known numbers.
         """
-        found = [name for name, free in self.balance.free_efforts.items() if np.max(free) > NOT_UNIQUE]
+        names = [name for name, free in self.balance.free_efforts.items() if np.max(free) > NOT_UNIQUE]
         for name, free in self.balance.free_reactions.items():
             for kind, share in zip(("force", "moment"), np.max(np.reshape(free, (-1, 2)), 0), strict=True):
                 if share > NOT_UNIQUE:
-                    found.append(f"{name} ({kind})")
-        return tuple(found)
+                    names.append(f"{name} ({kind})")
+        return tuple(names)
 
     def to_xarray(self) -> "xarray.Dataset":
         """Efforts, powers, reactions and what is unbalanced, labelled and with units."""

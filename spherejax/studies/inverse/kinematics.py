@@ -33,7 +33,15 @@ from spherejax.studies.inverse.least_squares import constrained_least_squares
 from spherejax.studies.inverse.mechanism import IdealMechanism
 from spherejax.studies.inverse.sampled_motion import SampledMotion
 from spherejax.studies.inverse.smoothing import Smoothed, smoothed
-from spherejax.studies.inverse.terms import CoordinateTerms, closing, evaluated, flat_state, measures, moving
+from spherejax.studies.inverse.terms import (
+    CoordinateTerms,
+    closing,
+    described_pose,
+    evaluated,
+    flat_state,
+    measures,
+    moving,
+)
 
 STEPS = 8
 """Newton steps of each pose, from the one before: the digits double with each."""
@@ -93,8 +101,8 @@ def wishes_of(mechanism: IdealMechanism, measured: SampledMotion) -> MeasuredSig
 
     def filtered(parts: list, width: int) -> Smoothed:
         columns = [jnp.reshape(part, (n, -1)) for part in parts]
-        found = smoothed(ts, jnp.concatenate([jnp.zeros((n, 0)), *columns], 1), measured.cutoff)
-        return Smoothed(*(x.reshape(n, -1, width) for x in found))
+        splines = smoothed(ts, jnp.concatenate([jnp.zeros((n, 0)), *columns], 1), measured.cutoff)
+        return Smoothed(*(x.reshape(n, -1, width) for x in splines))
 
     positions = filtered([measured.positions[name] for name in mechanism.positions], 3)
     quaternions = [_of_one_sign(measured.quaternions[name]) for name in mechanism.quaternions]
@@ -110,7 +118,7 @@ def _of_one_sign(quaternions: Float[Array, "n 4"]) -> Float[Array, "n 4"]:
     return quaternions * jnp.concatenate([jnp.ones(1), signs])[:, None]
 
 
-def _turning(found: Smoothed) -> Smoothed:
+def _turning(entries: Smoothed) -> Smoothed:
     """Unit quaternions, angular velocities and accelerations of quaternions that were smoothed entry by entry."""
 
     def at(q, q_rate, q_second):
@@ -121,18 +129,10 @@ def _turning(found: Smoothed) -> Smoothed:
         w, w_rate = jax.jvp(velocity, (q, q_rate), (q_rate, q_second))
         return normalized(q), w, w_rate
 
-    return Smoothed(*jax.vmap(jax.vmap(at))(*found))
+    return Smoothed(*jax.vmap(jax.vmap(at))(*entries))
 
 
 # Poses --------------------------------------------------------------------------------------------------------------
-
-
-def described_pose(mechanism: IdealMechanism) -> Float[Array, "b 7"]:
-    """That of the scene."""
-    bodies = list(mechanism.system.bodies.values())
-    return jnp.stack(
-        [jnp.concatenate([jnp.asarray(b.position), normalized(jnp.asarray(b.quaternion))]) for b in bodies]
-    )
 
 
 def poses(mechanism: IdealMechanism, ts: Float[Array, " n"], wishes: MeasuredSignals) -> Float[Array, "n b 7"]:
@@ -145,13 +145,13 @@ def poses(mechanism: IdealMechanism, ts: Float[Array, " n"], wishes: MeasuredSig
 
     # The first instant several times over, and not in a loop of its own: the step is compiled once.
     samples = jax.tree.map(lambda x: jnp.concatenate([jnp.repeat(x[:1], FIRST_REPEATS, 0), x]), (held_ts, held_wishes))
-    _, found = jax.lax.scan(follow, described_pose(held), samples)
-    found = jax.lax.stop_gradient(found[FIRST_REPEATS:])
+    _, followed = jax.lax.scan(follow, described_pose(held.system), samples)
+    followed = jax.lax.stop_gradient(followed[FIRST_REPEATS:])
 
     def carried(pose, t, wished):
         return jax.lax.scan(lambda pose, _: (_stepped(mechanism, t, pose, wished), None), pose, length=LAST_STEPS)[0]
 
-    return jax.vmap(carried)(found, ts, wishes)
+    return jax.vmap(carried)(followed, ts, wishes)
 
 
 def _stepped(
@@ -159,12 +159,12 @@ def _stepped(
 ) -> Float[Array, "b 7"]:
     still = flat_state(pose, jnp.zeros((mechanism.n_bodies, VELOCITY_SIZE)))
     scales, weights = mechanism.scales(), _weights(mechanism)
-    found = evaluated(closing, mechanism.closed, t, still)
-    equations, sizes = _of_size_one(found.jacobian / scales)
+    constraints = evaluated(closing, mechanism.closed, t, still)
+    equations, sizes = _of_size_one(constraints.jacobian / scales)
     looked = evaluated(measures, mechanism.observed, t, still)
     slopes = weights[:, None] * _slopes(mechanism, looked) / scales
     missing = weights * _missing(mechanism, pose, looked.values, wished)
-    steps = constrained_least_squares(equations, -found.residual / sizes, slopes, missing)
+    steps = constrained_least_squares(equations, -constraints.residual / sizes, slopes, missing)
     return displaced(pose, (steps / scales).reshape(-1, VELOCITY_SIZE))
 
 
@@ -247,8 +247,8 @@ def motion_at(mechanism: IdealMechanism, t: Scalar, pose: Float[Array, "b 7"], w
     slopes = weights[:, None] * _slopes(mechanism, evaluated(measures, mechanism.observed, t, still)) / scales
 
     def solved(right, values):
-        found = constrained_least_squares(equations, right / sizes, slopes, weights * values)
-        return (found / scales).reshape(-1, VELOCITY_SIZE)
+        steps = constrained_least_squares(equations, right / sizes, slopes, weights * values)
+        return (steps / scales).reshape(-1, VELOCITY_SIZE)
 
     velocities = solved(-at_rest.rate_at_rest, wished.rates(1))
     y = flat_state(pose, velocities)

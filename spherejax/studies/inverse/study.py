@@ -10,9 +10,11 @@ from jaxtyping import Array, Float
 
 from spherejax.foundations.checks import is_concrete, shown
 from spherejax.foundations.errors import SceneError
+from spherejax.foundations.types import Scalar
 from spherejax.model.scene import Scene
 from spherejax.motion.results.trajectory import Trajectory
 from spherejax.motion.start.assembly import CLOSING_TOLERANCE
+from spherejax.program_cache import cached_jit
 from spherejax.runtime import require_float64
 from spherejax.studies.inverse.balance import Balance, balance_at
 from spherejax.studies.inverse.inverse_result import InverseDynamics, InverseWarning
@@ -40,10 +42,10 @@ SETTLED = 1e-9
 def inverse_dynamics(scene: Scene, motion: Any, *, motors: Motors = None, friction: bool = True) -> InverseDynamics:
     """Efforts of motors and reactions of joints that make a prescribed or measured motion.
 
-        found = sj.inverse_dynamics(scene, ts)                            # the scene's drivers prescribe the motion
-        found = sj.inverse_dynamics(scene, run)                           # a motion that was simulated
-        found = sj.inverse_dynamics(scene, sj.studies.SampledMotion(...)) # a motion that was measured
-        found.effort("knee"), found.reaction("hip")
+        result = sj.inverse_dynamics(scene, ts)                            # the scene's drivers prescribe the motion
+        result = sj.inverse_dynamics(scene, run)                           # a motion that was simulated
+        result = sj.inverse_dynamics(scene, sj.studies.SampledMotion(...)) # a motion that was measured
+        result.effort("knee"), result.reaction("hip")
 
     Every joint is ideal here, whatever its model: its reaction is what the motion asks for. The motion may be that of a
     mechanism with loops; nothing is integrated. At each instant
@@ -59,7 +61,7 @@ def inverse_dynamics(scene: Scene, motion: Any, *, motors: Motors = None, fricti
             samples are smoothed.
 
     Other args:
-        motors: names of drivers, `Actuator`s and controllers of the scene, whose efforts are to be found, or
+        motors: names of drivers, `Actuator`s and controllers of the scene, whose efforts are to be result, or
             coordinates by name, `{"knee": sj.Turn(...)}`; what a motor of the scene exerts by itself is left out.
             None: all drivers, or where there is none all actuators and controllers. Drivers that are no motors
             prescribe the motion without a force.
@@ -70,11 +72,12 @@ def inverse_dynamics(scene: Scene, motion: Any, *, motors: Motors = None, fricti
 
     Where there are more motors than degrees of freedom the efforts are the least ones, in the sum of squares of forces
     and of moments over the length L of the scene; where constraints are redundant, of the reactions that go with these
-    efforts those with the least sum of |F|^2 + |M|^2/L^2. `found.not_unique` names them. Differentiable by the numbers
+    efforts those with the least sum of |F|^2 + |M|^2/L^2. `result.not_unique` names them. Differentiable by the numbers
     of the scene and by the samples, under `jit` and `vmap`; L counts as a constant.
 
     Raises:
-        SceneError: for a request that makes no sense; for drivers that the mechanism cannot follow.
+        SceneError: for a request that makes no sense; for drivers that the mechanism cannot follow. Where numbers are
+            traced, forces are NaN at the instants that cannot be closed.
 
     Warns:
         InverseWarning: where forces are left that neither motors nor joints carry: the motors cannot make this motion,
@@ -99,28 +102,37 @@ def inverse_dynamics(scene: Scene, motion: Any, *, motors: Motors = None, fricti
         wishes = no_wishes(len(ts)) if measured is None else wishes_of(mechanism, measured)
         moved, misfit = _followed(mechanism, ts, wishes)
         remembered = memories(mechanism, moved.pose, None)
+    must_close = not isinstance(motion, Trajectory)
     balance = _balances(mechanism, ts, moved, remembered)
-    if conditions:
-        is_right = jnp.all(jnp.stack(conditions))
-        balance = jax.tree.map(lambda x: jnp.where(is_right, x, jnp.nan), balance)
-    found = InverseDynamics(ts, moved, balance, misfit, mechanism)
-    _judge(found, must_close=not isinstance(motion, Trajectory))
-    return found
+    # Of numbers that are traced an error can say nothing.
+    is_right = jnp.all(jnp.stack([jnp.array(True), *conditions]))
+    if must_close:
+        is_right = is_right & (misfit.gap < _largest_gap(mechanism.length))
+    is_right = jnp.broadcast_to(is_right, ts.shape)
+    balance = jax.tree.map(lambda x: jnp.where(is_right.reshape(-1, *[1] * (x.ndim - 1)), x, jnp.nan), balance)
+    result = InverseDynamics(ts, moved, balance, misfit, mechanism)
+    _judge(result, must_close)
+    return result
 
 
-@jax.jit
+def _largest_gap(length: Scalar) -> Scalar:
+    """What joints and drivers may lack where they count as closed [m or rad]."""
+    return CLOSING_TOLERANCE * jnp.maximum(length, 1.0)
+
+
+@cached_jit(what="the poses of a motion")
 def _followed(mechanism: IdealMechanism, ts: Float[Array, " n"], wishes: MeasuredSignals) -> tuple[Motion, Misfit]:
     pose = poses(mechanism, ts, wishes)
     motion = jax.vmap(motion_at, (None, 0, 0, 0))(mechanism, ts, pose, wishes)
     return motion, jax.vmap(misfit_at, (None, 0, 0, 0))(mechanism, ts, pose, wishes)
 
 
-@jax.jit
+@cached_jit(what="the balance of forces")
 def _balances(mechanism: IdealMechanism, ts, motion: Motion, memory) -> Balance:
     return jax.vmap(balance_at, (None, 0, 0, 0))(mechanism, ts, motion, memory)
 
 
-@jax.jit
+@cached_jit(what="the gaps of a motion")
 def _misfits(mechanism: IdealMechanism, ts, pose, wishes: MeasuredSignals) -> Misfit:
     return jax.vmap(misfit_at, (None, 0, 0, 0))(mechanism, ts, pose, wishes)
 
@@ -159,27 +171,28 @@ def _of_run(mechanism: IdealMechanism, run: Trajectory) -> tuple[Any, Motion, Mi
     return ts, motion, _misfits(mechanism, ts, motion.pose, no_wishes(len(ts)))
 
 
-def _judge(found: InverseDynamics, must_close: bool) -> None:
+def _judge(result: InverseDynamics, must_close: bool) -> None:
     """Errors and warnings, where numbers are known."""
-    balance, misfit = found.balance, found.misfit
+    balance, misfit = result.balance, result.misfit
     if not all(map(is_concrete, jax.tree.leaves((balance, misfit)))):
         return
     gaps = np.asarray(misfit.gap)
     worst = int(np.argmax(np.where(np.isfinite(gaps), gaps, np.inf))) if gaps.size else 0
-    if must_close and gaps.size and not gaps[worst] < CLOSING_TOLERANCE * max(found.length, 1.0):
+    if must_close and gaps.size and not gaps[worst] < float(_largest_gap(result.mechanism.length)):
         raise SceneError(
-            f"at t = {float(found.ts[worst]):.6g} s the joints and drivers cannot be closed: {gaps[worst]:.3g} m or "
+            f"at t = {float(result.ts[worst]):.6g} s the joints and drivers cannot be closed: {gaps[worst]:.3g} m or "
             "rad remain. The motion leads out of the mechanism's reach, its samples are too far apart for Newton's "
             "method, or drivers contradict each other"
         )
-    largest = _largest_force(found)
-    left = found.largest_unbalanced
+    largest = _largest_force(result)
+    left = result.largest_unbalanced
     if left > UNBALANCED * largest:
         warnings.warn(
-            f"inverse dynamics: forces of up to {left:.3g} N (moments over {found.length:.3g} m) are carried by "
+            f"inverse dynamics: forces of up to {left:.3g} N (moments over {result.length:.3g} m) are carried by "
             f"neither motors nor joints, beside {largest:.3g} N of all others. The motors "
-            f"({', '.join(found.motors) or 'none'}) cannot make this motion exactly: a degree of freedom has no motor, "
-            "the motion was measured with errors, or the scene lacks a force. found.unbalanced(body) shows them",
+            f"({', '.join(result.motors) or 'none'}) cannot make this motion exactly: a degree of freedom has no "
+            "motor, the motion was measured with errors, or the scene lacks a force. result.unbalanced(body) shows "
+            "them",
             InverseWarning,
             stacklevel=3,
         )
@@ -192,12 +205,14 @@ def _judge(found: InverseDynamics, must_close: bool) -> None:
         )
 
 
-def _largest_force(found: InverseDynamics) -> float:
+def _largest_force(result: InverseDynamics) -> float:
     """Of weights, inertia, reactions and efforts [N], moments over L."""
-    length = found.length
-    sizes = [np.abs(np.asarray(reaction)) / ([1.0] * 3 + [length] * 3) for reaction in found.balance.reactions.values()]
-    for name, effort in found.balance.efforts.items():
-        sizes.append(np.abs(np.asarray(effort)) / (length if found.unit(name) == "N m" else 1.0))
-    masses = np.array([float(np.max(body.mass)) for body in found.mechanism.system.bodies.values()])
-    sizes.append(masses[:, None] * np.abs(np.asarray(found.motion.accelerations)[..., :3]))
+    length = result.length
+    sizes = [
+        np.abs(np.asarray(reaction)) / ([1.0] * 3 + [length] * 3) for reaction in result.balance.reactions.values()
+    ]
+    for name, effort in result.balance.efforts.items():
+        sizes.append(np.abs(np.asarray(effort)) / (length if result.unit(name) == "N m" else 1.0))
+    masses = np.array([float(np.max(body.mass)) for body in result.mechanism.system.bodies.values()])
+    sizes.append(masses[:, None] * np.abs(np.asarray(result.motion.accelerations)[..., :3]))
     return max(float(np.max(size, initial=0.0)) for size in sizes)

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from spherejax.foundations.rotation import normalized, quaternion_rate, rotation_matrix, skew
 from spherejax.foundations.types import Scalar
 from spherejax.model.system import System, flatten_system
 from spherejax.motion.equations.body_motions import BodyMotions, body_motions
@@ -39,6 +40,30 @@ def flat_state(pose: Float[Array, "b 7"], velocities: Float[Array, "b 6"], memor
     none = jnp.zeros(0)
     held = none if memory is None else memory
     return pack(State(pose[:, :3], pose[:, 3:], velocities[:, :3], velocities[:, 3:], held, none))
+
+
+# Poses ---------------------------------------------------------------------------------------------------------------
+
+
+def described_pose(system: System) -> Float[Array, "b 7"]:
+    """Centers of mass and unit quaternions of the bodies as they are described."""
+    bodies = system.bodies.values()
+    return jnp.stack(
+        [jnp.concatenate([jnp.asarray(b.position), normalized(jnp.asarray(b.quaternion))]) for b in bodies]
+    )
+
+
+def point_of(pose: Float[Array, "7"], place: Any) -> Float[Array, "3"]:
+    """A point of a body in the world [m], from its place in the body's axes [m]."""
+    return pose[:3] + rotation_matrix(pose[3:]) @ jnp.asarray(place)
+
+
+def rows_of_point(pose: Float[Array, "b 7"], number: int, place: Any) -> Float[Array, "6 k"]:
+    """Velocity of a point of a body, and the body's angular velocity, by the velocities of all bodies."""
+    arm = point_of(pose[number], place) - pose[number][:3]
+    rows = jnp.block([[jnp.eye(3), -skew(arm)], [jnp.zeros((3, 3)), jnp.eye(3)]])
+    own = slice(VELOCITY_SIZE * number, VELOCITY_SIZE * (number + 1))
+    return jnp.zeros((6, VELOCITY_SIZE * len(pose))).at[:, own].set(rows)
 
 
 # Joints and drivers --------------------------------------------------------------------------------------------------
@@ -73,13 +98,13 @@ def moving(system: System, t: Scalar, y: Float[Array, " size"]) -> Moving:
 
 def joint_rows(system: System) -> dict[str, slice]:
     """Which constraint equations belong to each joint (static)."""
-    found: dict[str, slice] = {}
+    rows: dict[str, slice] = {}
 
     def seen(y):
-        found.update(rows_of_joints(_constraints(system, jnp.zeros(()), y)))
+        rows.update(rows_of_joints(_constraints(system, jnp.zeros(()), y)))
 
     jax.eval_shape(seen, jax.ShapeDtypeStruct((system.layout.size,), jnp.float64))
-    return found
+    return rows
 
 
 # Coordinates --------------------------------------------------------------------------------------------------------
@@ -121,7 +146,8 @@ def measures(system: System, t: Scalar, y: Float[Array, " size"]) -> CoordinateT
 
     position, velocities = y[: bare.n_position], y[bare.n_position : bare.memory_start]
     motions = body_motions(system, state)
-    turning = jax.vmap(_position_rate)(motions.moving.velocity, motions.moving.angular_velocity, state.quaternion)
+    spins = jax.vmap(quaternion_rate)(state.quaternion, motions.moving.angular_velocity)
+    turning = jnp.concatenate([motions.moving.velocity, spins], 1)
     value, bending = jax.jvp(lambda q: rates(q, velocities), (position,), (turning.ravel(),))
     wrenches = [_flat(system, coordinate.wrenches(motions, jnp.ones(()))) for coordinate in coordinates.values()]
     return CoordinateTerms(
@@ -136,12 +162,6 @@ def measures(system: System, t: Scalar, y: Float[Array, " size"]) -> CoordinateT
 def coordinates_of(system: System) -> dict[str, AbstractCoordinate]:
     """Coordinates of a system's motors, by name."""
     return {name: force.coordinate for name, force in system.forces.items() if isinstance(force, AbstractMotor)}
-
-
-def _position_rate(velocity, angular_velocity, quaternion):
-    s, v = quaternion[0], quaternion[1:]
-    turning = jnp.concatenate([-(angular_velocity @ v)[None], s * angular_velocity + jnp.cross(angular_velocity, v)])
-    return jnp.concatenate([velocity, turning / 2])
 
 
 def _flat(system: System, wrenches) -> Float[Array, " k"]:
@@ -197,11 +217,11 @@ def rubbing(system: System, t: Scalar, given: tuple[Array, Array]) -> Rubbing:
     motions = _motions(system, y)
     constraints = constraint_set(system, t, motions)
     groups = friction_under(system, motions, unpack(system.layout, y).memory, constraints, multipliers)
-    found = {
+    reactions = {
         name: jnp.concatenate([each.resistance.force, each.resistance.moment])
         for name, each in resistances(groups).items()
     }
-    return Rubbing(wrenches_of(system, groups).ravel(), found)
+    return Rubbing(wrenches_of(system, groups).ravel(), reactions)
 
 
 def _motions(system: System, y) -> BodyMotions:

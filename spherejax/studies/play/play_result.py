@@ -18,7 +18,7 @@ from spherejax.model.system import System
 from spherejax.physics.state import VELOCITY_SIZE
 from spherejax.studies.inverse.kinematics import displaced
 from spherejax.studies.inverse.least_squares import pseudoinverse
-from spherejax.studies.inverse.terms import closing, evaluated, flat_state
+from spherejax.studies.inverse.terms import closing, evaluated, flat_state, point_of
 
 NEWTON_STEPS = 8
 """From the pose without play, at most some clearances away: three are enough, eight are safe near singular poses."""
@@ -83,12 +83,12 @@ class PosePlay(eqx.Module):
         Zero for a joint that does not matter.
         """
         d = jnp.asarray(direction, jnp.float64)
-        found = {}
+        eccentricities = {}
         for name, J in self.influence.items():
             along = J.T @ d
             size = safe_norm(along)
-            found[name] = self.clearances[name] * along / jnp.where(size > 0, size, 1.0)
-        return found
+            eccentricities[name] = self.clearances[name] * along / jnp.where(size > 0, size, 1.0)
+        return eccentricities
 
     def change(self, eccentricities: Mapping[str, Any]) -> Float[Array, "6"]:
         """Translation of the point [m] and rotation vector of its body [rad] for given eccentricities, exact.
@@ -106,8 +106,8 @@ class PosePlay(eqx.Module):
             offsets = offsets + _offset(self._n_rows, self._rows[name], jnp.asarray(e, jnp.float64))
 
         def step(_, pose):
-            found = evaluated(closing, self._system, self._t, _still(pose))
-            move = pseudoinverse(found.jacobian / self._scales) @ (offsets - found.residual)
+            constraints = evaluated(closing, self._system, self._t, _still(pose))
+            move = pseudoinverse(constraints.jacobian / self._scales) @ (offsets - constraints.residual)
             return displaced(pose, (move / self._scales).reshape(-1, VELOCITY_SIZE))
 
         moved = jax.lax.fori_loop(0, NEWTON_STEPS, step, self.pose)
@@ -123,14 +123,6 @@ class PosePlay(eqx.Module):
 def _without_rounding(size: float) -> float:
     """Zero for what is rounding of a size in mm or mrad."""
     return size if size > SHOWN else 0.0
-
-
-def point_of(pose: Float[Array, "7"], place: Any) -> Float[Array, "3"]:
-    """A point of a body in the world [m]."""
-    spun = quaternion_product(
-        quaternion_product(pose[3:], jnp.concatenate([jnp.zeros(1), jnp.asarray(place)])), conjugate(pose[3:])
-    )
-    return pose[:3] + spun[1:]
 
 
 def _offset(n_rows: int, start: int, eccentricity: Float[Array, "3"]) -> Float[Array, " n"]:

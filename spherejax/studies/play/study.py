@@ -5,11 +5,12 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.errors import SceneError
-from spherejax.foundations.rotation import normalized, rotation_matrix, skew
-from spherejax.foundations.types import Number
+from spherejax.foundations.rotation import rotation_matrix
+from spherejax.foundations.types import Flag, Number, Scalar
 from spherejax.model.drift import NoDriftControl
 from spherejax.model.scene import Scene
 from spherejax.model.system import System, compile_scene
@@ -19,12 +20,13 @@ from spherejax.physics.bodies import GROUND
 from spherejax.physics.joints.journal import PlacedJournal
 from spherejax.physics.joints.spherical import PlacedSpherical
 from spherejax.physics.state import VELOCITY_SIZE
+from spherejax.program_cache import cached_jit
 from spherejax.runtime import require_float64
 from spherejax.studies.inverse.kinematics import displaced
 from spherejax.studies.inverse.least_squares import pseudoinverse
 from spherejax.studies.inverse.mechanism import ideal_joint
-from spherejax.studies.inverse.terms import closing, evaluated, flat_state, joint_rows
-from spherejax.studies.play.play_result import PosePlay, point_of
+from spherejax.studies.inverse.terms import closing, described_pose, evaluated, flat_state, joint_rows, rows_of_point
+from spherejax.studies.play.play_result import PosePlay
 
 CLOSING_STEPS = 25
 """Newton steps from the described start to the pose without play."""
@@ -36,7 +38,8 @@ LOOSE = 1e-6
 def pose_play(scene: Scene, point: str, *, t: Number = 0.0) -> PosePlay:
     """How far the clearances of the joints let a point and its body move while all motors stand.
 
-        play = sj.studies.pose_play(sj.gallery.five_bar(sj.Dry(clearance=5e-5, ...)), "right_rod.tip")
+        joint = sj.Dry(clearance=5e-5, normal=sj.Hertz(stiffness=1e8, exponent=1.0))
+        play = sj.studies.pose_play(sj.gallery.five_bar(joint), "left_rod.tip")
         play.reach((1, 0, 0))              # m, to either side
         play.shares((1, 0, 0, 0, 0, 0))    # what each joint adds
 
@@ -47,7 +50,7 @@ def pose_play(scene: Scene, point: str, *, t: Number = 0.0) -> PosePlay:
 
     Args:
         scene: the mechanism, with `Dry` or `Lubricated` models in spherical and revolute joints, and with drivers that
-            hold what its motors hold.
+            hold what its motors hold. Bushings count as ideal: they give way to loads, of which there are none here.
         point: `"body.point"` or `"body"`, its center of mass.
 
     Other args:
@@ -55,7 +58,7 @@ def pose_play(scene: Scene, point: str, *, t: Number = 0.0) -> PosePlay:
 
     Returns:
         The influence of each joint, and what follows from it. Differentiable by the numbers of the scene, under `jit`
-        and `vmap`.
+        and `vmap`; where numbers are traced, NaN in place of the errors below.
 
     Raises:
         SceneError: where no joint has a clearance, where the point can move by itself because a motor is not held, or
@@ -69,7 +72,8 @@ def pose_play(scene: Scene, point: str, *, t: Number = 0.0) -> PosePlay:
     ASME J. Mech. Des. 124:661-667.
     """
     require_float64()
-    system = compile_scene(scene).system
+    compiled = compile_scene(scene)
+    system = compiled.system
     body, place = _point(scene, point)
     loose = _with_clearance(system)
     if not loose:
@@ -83,47 +87,41 @@ def pose_play(scene: Scene, point: str, *, t: Number = 0.0) -> PosePlay:
     number = list(system.bodies).index(body)
     t = jnp.asarray(t, jnp.float64)
     pose, residual, inverse, free, scales = _closed(bare, t)
-    arm = point_of(pose[number], place) - pose[number][:3]
-    end = jnp.zeros((6, scales.shape[0]))
-    own = slice(VELOCITY_SIZE * number, VELOCITY_SIZE * (number + 1))
-    end = end.at[:, own].set(jnp.block([[jnp.eye(3), -skew(arm)], [jnp.zeros((3, 3)), jnp.eye(3)]])) / scales
-    _check(residual, end @ free)
-    influence = {}
+    end = rows_of_point(pose, number, place) / scales
+    is_right = _checked([*compiled.conditions, residual < CLOSING_TOLERANCE], residual, end @ free)
+    influence, clearances = {}, {}
     for name, joint in loose.items():
         J = end @ inverse[:, starts[name] : starts[name] + 3]
         if isinstance(joint, PlacedJournal):
             axis = _axis(joint, list(system.bodies), pose)
             J = J @ (jnp.eye(3) - jnp.outer(axis, axis))
-        influence[name] = J
+        influence[name] = jnp.where(is_right, J, jnp.nan)
+        # Guarded norms are zero of what is not a number: without this a pose that has no answer would have no play.
+        clearances[name] = jnp.where(is_right, joint.model.clearance, jnp.nan)
     rows = {name: starts[name] for name in loose}
-    clearances = {name: joint.model.clearance for name, joint in loose.items()}
     return PosePlay(influence, clearances, pose, bare, rows, number, place, t, scales)
 
 
-@jax.jit
+@cached_jit(what="the pose without play")
 def _closed(system: System, t):
     """The closed pose, what remains, D^+ and the projector onto free directions, and the scales of steps."""
     length = jnp.asarray(length_scale(system), jnp.float64)
     scales = jnp.tile(jnp.concatenate([jnp.full(3, 1 / length), jnp.ones(3)]), len(system.bodies))
     scales = jax.lax.stop_gradient(scales)
-    bodies = list(system.bodies.values())
-    described = jnp.stack(
-        [jnp.concatenate([jnp.asarray(b.position), normalized(jnp.asarray(b.quaternion))]) for b in bodies]
-    )
 
     def terms(pose):
-        return evaluated(closing, system, t, flat_state(pose, jnp.zeros((len(bodies), VELOCITY_SIZE))))
+        return evaluated(closing, system, t, flat_state(pose, jnp.zeros((len(system.bodies), VELOCITY_SIZE))))
 
     def step(pose, _):
-        found = terms(pose)
-        move = -pseudoinverse(found.jacobian / scales) @ found.residual
+        constraints = terms(pose)
+        move = -pseudoinverse(constraints.jacobian / scales) @ constraints.residual
         return displaced(pose, (move / scales).reshape(-1, VELOCITY_SIZE)), None
 
-    pose, _ = jax.lax.scan(step, described, length=CLOSING_STEPS)
-    found = terms(pose)
-    inverse = pseudoinverse(found.jacobian / scales)
-    free = jnp.eye(scales.shape[0]) - inverse @ (found.jacobian / scales)
-    return pose, jnp.max(jnp.abs(found.residual)), inverse, free, scales
+    pose, _ = jax.lax.scan(step, described_pose(system), length=CLOSING_STEPS)
+    constraints = terms(pose)
+    inverse = pseudoinverse(constraints.jacobian / scales)
+    free = jnp.eye(scales.shape[0]) - inverse @ (constraints.jacobian / scales)
+    return pose, jnp.max(jnp.abs(constraints.residual)), inverse, free, scales
 
 
 def _with_clearance(system: System) -> dict[str, Any]:
@@ -153,17 +151,26 @@ def _axis(joint: PlacedJournal, names: list[str], pose):
     return axis if first == GROUND else rotation_matrix(pose[names.index(first)][3:]) @ axis
 
 
-def _check(residual, moved) -> None:
-    """Errors, where numbers are known."""
+def _checked(conditions: list, residual: Scalar, moved: Float[Array, "6 k"]) -> Flag:
+    """Whether there is an answer: an error where numbers are known and there is none, else a flag.
+
+    Args:
+        conditions: of the scene, and that its joints are closed.
+        residual: what the joints lack [m or rad].
+        moved: how the pose moves by the free directions of the mechanism.
+    """
+    largest = jnp.max(jnp.abs(moved))
+    is_right = jnp.all(jnp.stack([*conditions, largest <= LOOSE]))
     if not all(map(is_concrete, (residual, moved))):
-        return
+        return is_right
     if not float(residual) < CLOSING_TOLERANCE:
         raise SceneError(
             f"the joints and drivers cannot be closed: {float(residual):.3g} m or rad remain. Describe a start that is "
             "nearer to a closed one"
         )
-    if float(np.max(np.abs(np.asarray(moved)))) > LOOSE:
+    if float(largest) > LOOSE:
         raise SceneError(
             "the point can move though all joints are ideal: a degree of freedom is not held. Add a driver for each "
             "motor that stands, e.g. sj.RotationDriver(bodies, axis, rate=0.0)"
         )
+    return is_right

@@ -11,20 +11,18 @@ from jaxtyping import Array, Float
 
 from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.errors import SceneError
-from spherejax.foundations.rotation import normalized, skew
 from spherejax.foundations.types import Scalar
 from spherejax.model.drift import NoDriftControl
 from spherejax.model.scene import Scene
 from spherejax.model.system import System, compile_scene, flatten_system
 from spherejax.motion.equations.programs import program_for
-from spherejax.motion.start.equilibrium import equilibrium, rest_conditions, rest_slopes
+from spherejax.motion.start.equilibrium import LARGEST_RESIDUAL, equilibrium, rest_conditions, rest_slopes
 from spherejax.motion.start.tolerances import length_scale, time_scale
 from spherejax.physics.forces.applied import AppliedWrench
 from spherejax.physics.state import VELOCITY_SIZE
 from spherejax.runtime import require_float64
 from spherejax.studies.inverse.least_squares import RANK, pseudoinverse
-from spherejax.studies.inverse.terms import evaluated, flat_state
-from spherejax.studies.play.play_result import point_of
+from spherejax.studies.inverse.terms import described_pose, evaluated, flat_state, point_of, rows_of_point
 
 LOAD = "end load"
 """Name of the wrench that is put on the point."""
@@ -77,8 +75,8 @@ class EndCompliance(eqx.Module):
 def end_compliance(scene: Scene, point: str, *, t: float = 0.0) -> EndCompliance:
     """How a point of a mechanism in equilibrium gives way to a small force and moment.
 
-        found = sj.studies.end_compliance(scene, "hand.tool")
-        found.compliance, found.stiffness      # 6 x 6: three translations or forces, three rotations or moments
+        result = sj.studies.end_compliance(scene, "hand.tool")
+        result.compliance, result.stiffness      # 6 x 6: three translations or forces, three rotations or moments
 
     The rest position is found first (`sj.equilibrium`), so that weights, preloads of springs and bushings, and what
     they add or take by their directions are in it. With the accelerations a(q, w) of the constrained equations, which
@@ -97,7 +95,7 @@ def end_compliance(scene: Scene, point: str, *, t: float = 0.0) -> EndCompliance
 
     Returns:
         The compliance, the stiffness, and the scene at rest. Differentiable by the numbers of the scene, to first order
-        also by what moves the rest position.
+        also by what moves the rest position; where numbers are traced, NaN in place of the errors below.
 
     Raises:
         SceneError: where the point can move without resistance; as `sj.equilibrium` for clearances, and for scenes
@@ -107,7 +105,9 @@ def end_compliance(scene: Scene, point: str, *, t: float = 0.0) -> EndCompliance
     that keep their direction derive from none. Friction does not count: it holds nothing here.
     """
     require_float64()
-    rest = equilibrium(scene, t=t).scene
+    conditions = compile_scene(scene).conditions
+    at_rest = equilibrium(scene, t=t)
+    rest = at_rest.scene
     if LOAD in rest.forces:
         raise SceneError(f"a force element is named {LOAD!r}, which is taken; give it another name")
 
@@ -118,32 +118,26 @@ def end_compliance(scene: Scene, point: str, *, t: float = 0.0) -> EndCompliance
         return System(system.bodies, system.joints, system.forces, system.gravity, NoDriftControl(), (), False)
 
     system = loaded(np.zeros(6))
-    names, bodies = list(system.bodies), list(system.bodies.values())
-    body = point.partition(".")[0]
+    number = list(system.bodies).index(point.partition(".")[0])
     place = rest.find(point)[1] if "." in point else np.zeros(3)
-    pose = jnp.stack(
-        [jnp.concatenate([jnp.asarray(b.position), normalized(jnp.asarray(b.quaternion))]) for b in bodies]
-    )
-    y = flat_state(pose, jnp.zeros((len(bodies), VELOCITY_SIZE)))
+    pose = described_pose(system)
+    y = flat_state(pose, jnp.zeros((len(pose), VELOCITY_SIZE)))
     time = jnp.asarray(t, jnp.float64)
     slopes, residual_slopes = _terms(rest_slopes, system, time, y)
     # Accelerations are linear in the load: differences by unit loads are exact.
     unloaded = _terms(rest_conditions, system, time, y)[0]
     pushed = jnp.stack([_terms(rest_conditions, loaded(unit), time, y)[0] - unloaded for unit in np.eye(6)], 1)
     length, seconds = (jax.lax.stop_gradient(jnp.asarray(f(system))) for f in (length_scale, time_scale))
-    kinds = jnp.tile(jnp.concatenate([jnp.full(3, 1 / length), jnp.ones(3)]), len(bodies))
+    kinds = jnp.tile(jnp.concatenate([jnp.full(3, 1 / length), jnp.ones(3)]), len(pose))
     weights = seconds**2 * kinds
     S = jnp.concatenate([weights[:, None] * slopes, residual_slopes / length]) / kinds
     right = jnp.concatenate([weights[:, None] * pushed, jnp.zeros((residual_slopes.shape[0], 6))])
-    number = names.index(body)
-    at = point_of(pose[number], place)
-    arm = at - pose[number][:3]
-    rows = jnp.block([[jnp.eye(3), -skew(arm)], [jnp.zeros((3, 3)), jnp.eye(3)]])
-    own = slice(VELOCITY_SIZE * number, VELOCITY_SIZE * (number + 1))
-    end = jnp.zeros((6, kinds.shape[0])).at[:, own].set(rows) / kinds
+    end = rows_of_point(pose, number, place) / kinds
     inverse = pseudoinverse(S)
     _check_held(S, end, point)
-    return EndCompliance(-end @ inverse @ right, rest, at, length)
+    is_right = jnp.all(jnp.stack([*conditions, at_rest.residual < LARGEST_RESIDUAL, _is_held(S, inverse, end)]))
+    compliance = jnp.where(is_right, -end @ inverse @ right, jnp.nan)
+    return EndCompliance(compliance, rest, point_of(pose[number], place), length)
 
 
 def _terms(function: Any, system: System, t: Scalar, y: Float[Array, " size"]) -> Any:
@@ -155,6 +149,11 @@ def _terms(function: Any, system: System, t: Scalar, y: Float[Array, " size"]) -
     if all(map(is_concrete, (theta, t, y))):
         return program.compute(np.asarray(theta), float(t), np.asarray(y))
     return evaluated(function, system, t, y)
+
+
+def _is_held(S: Any, inverse: Any, end: Any) -> Any:
+    """Whether no direction that nothing resists moves the point."""
+    return jnp.max(jnp.abs(end @ (jnp.eye(S.shape[1]) - inverse @ S))) <= LOOSE
 
 
 def _check_held(S: Any, end: Any, point: str) -> None:
