@@ -91,13 +91,14 @@ def pose_play(scene: Scene, point: str, *, t: Number = 0.0) -> PosePlay:
     is_right = _checked([*compiled.conditions, residual < CLOSING_TOLERANCE], residual, end @ free)
     influence, clearances = {}, {}
     for name, joint in loose.items():
+        model: Any = joint.model
         J = end @ inverse[:, starts[name] : starts[name] + 3]
         if isinstance(joint, PlacedJournal):
             axis = _axis(joint, list(system.bodies), pose)
             J = J @ (jnp.eye(3) - jnp.outer(axis, axis))
         influence[name] = jnp.where(is_right, J, jnp.nan)
         # Guarded norms are zero of what is not a number: without this a pose that has no answer would have no play.
-        clearances[name] = jnp.where(is_right, joint.model.clearance, jnp.nan)
+        clearances[name] = jnp.where(is_right, model.clearance, jnp.nan)
     rows = {name: starts[name] for name in loose}
     return PosePlay(influence, clearances, pose, bare, rows, number, place, t, scales)
 
