@@ -6,6 +6,7 @@ tolerances, from the same start. That the repeated motion is the same is tested 
 """
 
 import warnings
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -64,6 +65,8 @@ class Steps(NamedTuple):
         at_ends: the flat states there, with what the events there changed, shape (n, size).
         inside: `SHARES` of each step [s], shape (n, k).
         at_inside: the flat states there, shape (n, k, size).
+        states: function of more instants within steps [s], shape (m,), in any order: the flat states there, shape (m,
+            size). It makes the run once more for up to `COMPARED - 2` of them.
     """
 
     t0: float
@@ -72,6 +75,7 @@ class Steps(NamedTuple):
     at_ends: np.ndarray
     inside: np.ndarray
     at_inside: np.ndarray
+    states: Any = None
 
     @property
     def lengths(self) -> np.ndarray:
@@ -118,7 +122,22 @@ def steps_of(
     warn_where_they_part(system, np.asarray(ts)[told], np.asarray(ys)[told], repeated)
     is_reached = ends[:, -1] <= t_reached
     ends, states = ends[is_reached], states[is_reached]
-    return Steps(float(times[0]), np.asarray(y0), ends[:, -1], states[:, -1], ends[:, :-1], states[:, :-1])
+    more = partial(_states_within, plan, capacity, again)
+    return Steps(float(times[0]), np.asarray(y0), ends[:, -1], states[:, -1], ends[:, :-1], states[:, :-1], more)
+
+
+def _states_within(plan: Plan, capacity: int, again: "Repetition", times: np.ndarray) -> np.ndarray:
+    """The flat states at instants of a run, by the program that has told its steps: of as many samples, always."""
+    begin, end = np.asarray(again.ends)
+    order = np.argsort(times)
+    states = np.empty((len(times), again.y0.size))
+    for at in range(0, len(times), COMPARED - 2):
+        own = order[at : at + COMPARED - 2]
+        sampled = np.full(COMPARED, end)
+        sampled[: len(own) + 1] = [begin, *times[own]]
+        outcome, _ = repeated_in_steps(plan, capacity, again, sampled)
+        states[own] = np.asarray(outcome.ys[0])[1 : len(own) + 1]
+    return states
 
 
 class Repetition(NamedTuple):

@@ -31,7 +31,8 @@ from spherejax.motion.integration.status import Status
 from spherejax.motion.results.between import states_at
 from spherejax.motion.results.motion_state import MotionState
 from spherejax.motion.results.steps import SHARES, Repetition, repeated_in_steps, room_for_steps
-from spherejax.motion.results.traced_steps import COEFFICIENTS, NODES, refusing, repetition_of, seen_at_steps
+from spherejax.motion.results.traced_steps import refusing, repetition_of, seen_at_steps
+from spherejax.motion.results.within_steps import COEFFICIENTS, NODES
 from spherejax.program_cache import cached_jit
 
 JUMPS = (

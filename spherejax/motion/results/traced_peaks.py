@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from spherejax.foundations.errors import SceneError
@@ -27,9 +28,10 @@ from spherejax.motion.equations.programs import program_for
 from spherejax.motion.equations.quantities import quantity
 from spherejax.motion.integration.problem import Plan
 from spherejax.motion.results.between import states_at
-from spherejax.motion.results.impacts import FINE_WEIGHTS, LARGEST_RISE, Peak, magnitudes_of
+from spherejax.motion.results.impacts import Peak, magnitudes_of
 from spherejax.motion.results.steps import SHARES, Repetition, repeated_in_steps
-from spherejax.motion.results.traced_steps import COEFFICIENTS, NODES, refusing, repetition_of, seen_at_steps
+from spherejax.motion.results.traced_steps import refusing, repetition_of, seen_at_steps
+from spherejax.motion.results.within_steps import COEFFICIENTS, LARGEST_RISE, NODES, place_of_maximum
 
 FLAT = 1e-3
 """The largest value of a step at one of its ends counts as a maximum where the quantity changes by less than this share
@@ -43,6 +45,14 @@ JUMPS = (
 )
 
 TOO_MANY = "the run has more than {steps} steps, so its peak is not known; give more: run.peak({name!r}, steps=...)"
+
+
+_FINE = np.linspace(0.0, 1.0, 201)
+FINE_WEIGHTS = np.stack(
+    [np.prod([(_FINE - other) / (node - other) for other in SHARES if other != node], axis=0) for node in SHARES],
+    axis=1,
+)
+"""Lagrange's polynomials of the inner nodes."""
 
 
 class _Step(NamedTuple):
@@ -90,13 +100,8 @@ def traced_peak(run: Any, name: str, steps: int) -> Peak:
 
 def _largest(coefficients: Float[Array, " 8"]) -> tuple[Scalar, Flag]:
     """Where from -1 to 1 the polynomial is largest, and whether that is a maximum."""
-    slopes, bends = jnp.polyder(coefficients), jnp.polyder(coefficients, 2)
-    grid = jnp.linspace(-1.0, 1.0, 101)
-    values = jnp.polyval(coefficients, grid)
-    s = grid[jnp.argmax(values)]
-    for _ in range(4):  # Newton, from less than half a hundredth of the step
-        slope, bend = jnp.polyval(slopes, s), jnp.polyval(bends, s)
-        s = jnp.clip(s - jnp.where(bend < 0, slope / jnp.where(bend < 0, bend, -1.0), 0.0), -1.0, 1.0)
+    s, slopes = place_of_maximum(coefficients), jnp.polyder(coefficients)
+    values = jnp.polyval(coefficients, jnp.linspace(-1.0, 1.0, 101))
     is_flat = 2 * jnp.abs(jnp.polyval(slopes, s)) <= FLAT * jnp.max(jnp.abs(values))
     return s, (jnp.abs(s) < 1) | is_flat
 

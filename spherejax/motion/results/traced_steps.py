@@ -10,7 +10,6 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from spherejax.foundations.types import Flag, Scalar
@@ -18,14 +17,6 @@ from spherejax.model.system import flatten_by_factor
 from spherejax.motion.integration.problem import Plan, RunMethod
 from spherejax.motion.integration.status import Status
 from spherejax.motion.results.steps import Repetition, repeatable
-
-NODES = tuple((np.polynomial.legendre.leggauss(8)[0] + 1) / 2)
-"""Shares of a step at which the quantity is taken with its derivatives. The state within a step is a polynomial of
-degree 4 to 8 in time; with eight nodes a peak is as exact as that (four, which find the step, leave 1e-5)."""
-
-COEFFICIENTS = np.linalg.inv(np.vander(2 * np.array(NODES) - 1))
-"""Coefficients of the polynomial in s = 2x - 1 from the values at the nodes, highest power first. From -1 to
-1 powers are well enough conditioned: the largest entry is 39."""
 
 SEEN_AT_ONCE = 64
 """States of steps that are looked at in one turn of a loop, which ends behind the last step."""

@@ -519,8 +519,8 @@ class Trajectory(eqx.Module, Reported):
         | `place` | unit vector to the contact at the onset, in the axes of the socket's body |
 
         The run is made once more to see its steps, so its samples need not be fine; where the motion is chaotic and the
-        repeated run parts from this one, a `PartingWarning` says when. Peaks are good to about 1e-4, integrals to
-        the tolerance of the run.
+        repeated run parts from this one, a `PartingWarning` says when. Peaks and integrals are as exact as the states
+        of the run, to about its tolerance.
 
         Raises:
             SceneError: for a joint without contact, a batched or traced run, or a run that cannot be repeated.
@@ -535,8 +535,9 @@ class Trajectory(eqx.Module, Reported):
     def peak(self, name: str, *, steps: int = 4096) -> Peak:
         """Largest magnitude of a quantity over the whole run and when, e.g. `run.peak("reaction.elbow").value` [N].
 
-        Seen at five instants of each step, so that no impact is missed, however coarse the samples are; the names are
-        those of `sj.sweep`. The run is made once more, see `impacts`.
+        Seen at five instants of each step, so that no impact is missed, however coarse the samples are, and taken from
+        the polynomial through eight instants of the step with the peak; the names are those of `sj.sweep`. The run is
+        made once more, see `impacts`.
 
         Under `jit`, `vmap` and `grad` it is a number that a program may go on with, an objective for instance:
 
