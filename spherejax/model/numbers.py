@@ -8,7 +8,8 @@ index: `.0`, of a matrix `.0.1`.
 """
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -18,7 +19,7 @@ import numpy as np
 
 from spherejax.foundations.errors import SceneError, one_of
 from spherejax.model.scene import Scene
-from spherejax.model.system import System
+from spherejax.model.system import Structure, System, example_of
 
 AXES = {"x": 0, "y": 1, "z": 2}
 
@@ -35,6 +36,11 @@ class Number(NamedTuple):
     name: str
     steps: tuple[str, ...]
     index: tuple[int, ...]
+
+    @property
+    def part(self) -> str:
+        """The part that it belongs to, such as `joints.elbow`, or `gravity`, which has no name of its own."""
+        return ".".join(self.steps[: 2 if self.steps[0] in ("bodies", "joints", "forces") else 1])
 
     def value(self, whole: Scene | System) -> float:
         """Its value."""
@@ -125,6 +131,38 @@ def place_at(whole: Scene | System, path: str, studied: str | None = None) -> Pl
         raise SceneError(f"{path} is no number but {what}{known}") from None
     index = _index(path, ".".join(steps), value, words)
     return Place(tuple(steps), index, value[index] if index else value)
+
+
+def numbers_in(whole: Scene | System) -> tuple[Number, ...]:
+    """All numbers of a scene or a system, in the order of its leaves."""
+    found = []
+    for keys, leaf in jax.tree_util.tree_flatten_with_path(whole)[0]:
+        steps = tuple(str(getattr(key, "name", getattr(key, "key", getattr(key, "idx", key)))) for key in keys)
+        letter = _letters(np.shape(leaf))
+        entries = np.ndindex(np.shape(leaf))
+        found += [Number(".".join([*steps, *map(letter, entry)]), steps, entry) for entry in entries]
+    return tuple(found)
+
+
+@lru_cache(maxsize=64)
+def numbers_of(structure: Structure) -> tuple[Number, ...]:
+    """Of each number of `theta`, in its order, what it is."""
+    return numbers_in(example_of(structure))
+
+
+NAMED = 6
+"""Traced numbers of which a run's explanation says the names; of more it says the parts that they belong to."""
+
+
+def in_words(numbers: Sequence[Number]) -> str:
+    """Which numbers these are, in a few words; empty for none."""
+    if not numbers:
+        return ""
+    if len(numbers) <= NAMED:
+        return f"traced: {', '.join(number.name for number in numbers)}"
+    parts = [*dict.fromkeys(number.part for number in numbers)]
+    more = f" and {len(parts) - NAMED} more parts" if len(parts) > NAMED else ""
+    return f"traced: {len(numbers)} numbers of {', '.join(parts[:NAMED])}{more}"
 
 
 def full_path(whole: Scene | System, path: str, studied: str | None = None) -> str:

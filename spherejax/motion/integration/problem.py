@@ -20,6 +20,8 @@ from jaxtyping import Array, Float
 from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.lanes import in_lanes
 from spherejax.foundations.types import Number, Scalar
+from spherejax.model.numbers import Number as SceneNumber
+from spherejax.model.numbers import numbers_of
 from spherejax.model.system import Structure, System, example_of, flatten_system
 from spherejax.motion.equations.contacts import crossings, initial_memory, kinks_of, memory_after_step, onset_slopes
 from spherejax.motion.equations.programs import Program, program_for
@@ -73,6 +75,12 @@ class Plan:
     unknown: tuple[int, ...]
     scalar: bool | None
     from_state: bool = False
+
+    @property
+    def traced(self) -> tuple[SceneNumber, ...]:
+        """What the traced numbers are, in the order of `unknown`."""
+        numbers = numbers_of(self.structure)
+        return tuple(numbers[i] for i in self.unknown)
 
     def theta(self, values: Float[Array, " n_unknown"], known: Float[Array, " p"]) -> Float[Array, " p"]:
         """All numbers of the system, from those that are traced and those that are known."""

@@ -17,6 +17,7 @@ from spherejax.foundations.checks import is_concrete, is_tracing
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.lanes import rows_at
 from spherejax.model.captured import captures_explained
+from spherejax.model.numbers import in_words
 from spherejax.model.scene import Scene
 from spherejax.model.system import System, example_of
 from spherejax.motion.derivatives.refused import without_derivative
@@ -296,7 +297,7 @@ def call_of(prepared_scene: PreparedScene, carried: CarriedStart | None, ts, set
     else:
         outcome_of = bound_run(plan, method, inputs)
     bound = bound_in_words(prepared_scene.structure, path.scalar)
-    explanation = "; ".join(filter(None, [choice.reason, said, path.reason, bound]))
+    explanation = "; ".join(filter(None, [choice.reason, said, path.reason, bound, in_words(plan.traced)]))
     settings_of_run = settings.of_run(choice.solver)
 
     def run() -> Trajectory:
