@@ -2,6 +2,7 @@ from .foundations.checks import Requirement
 from .physics.laws.bearings import LongBearing, ShortBearing
 from .physics.laws.conformity import AbstractConformity, SphericalProfile, WinklerLiner
 from .physics.laws.cylinders import EsduCylinder, JohnsonCylinder
+from .physics.laws.depth import AbstractDepth, HarmonicDepth
 from .physics.laws.elastomer import AbstractElastomer, RadialElastomer, VectorElastomer
 from .physics.laws.elastomer_axes import CrossElastomer, HingeElastomer
 from .physics.laws.elastomer_curve import CurveElastomer
@@ -54,6 +55,7 @@ from .physics.memory import MemoryEntry
 
 __all__ = [
     "AbstractConformity",
+    "AbstractDepth",
     "AbstractElastomer",
     "AbstractFilm",
     "AbstractFilmBoundary",
@@ -79,6 +81,7 @@ __all__ = [
     "FullFilm",
     "Gonthier",
     "Guembel",
+    "HarmonicDepth",
     "Hertz",
     "HingeElastomer",
     "HuntCrossley",

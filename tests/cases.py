@@ -66,6 +66,12 @@ MODELS = {
     **{f"dry_{name}": sj.Dry(clearance=C, normal=law) for name, law in NORMAL_LAWS.items()},
     **{f"dry_{name}": sj.Dry(clearance=C, friction=law) for name, law in FRICTION_LAWS.items()},
     **{f"dry_{name}": sj.Dry(clearance=C, conformity=law) for name, law in CONFORMITIES.items()},
+    "dry_worn": sj.Dry(
+        clearance=C,
+        friction=sj.Threlfall(),
+        socket_depth=sj.laws.HarmonicDepth(1e-6 * np.array([5.0, -2.0, 3.0, 1.0, 0.5, -2.0, 4.0, 0.0, 1.0])),
+        ball_depth=sj.laws.HarmonicDepth([2e-6, 0.0, 1e-6, -1e-6]),
+    ),
     "lubricated_liner": sj.Lubricated(clearance=C, conformity=CONFORMITIES["liner"]),
     "dry_hertz_threlfall": sj.Dry(clearance=C, normal=sj.Hertz(), friction=sj.Threlfall()),
     **{

@@ -54,6 +54,7 @@ class RelativeMotion(NamedTuple):
         relative_quaternion: rotation of the ball's body against the socket's body since the start, in socket axes.
         socket_angular_velocity: world axes [rad/s].
         ball_angular_velocity: world axes [rad/s].
+        ball_rotation: axes of the ball's body to world axes; None where nobody asks for them.
     """
 
     eccentricity: Vector3
@@ -62,6 +63,7 @@ class RelativeMotion(NamedTuple):
     relative_quaternion: Quaternion
     socket_angular_velocity: Vector3
     ball_angular_velocity: Vector3
+    ball_rotation: Matrix3 | None = None
 
 
 def body_motion(position: Vector3, quaternion: Quaternion, velocity: Vector3, angular_velocity: Vector3) -> BodyMotion:

@@ -29,6 +29,7 @@ from spherejax.physics.joints.base import AbstractSphericalModel
 from spherejax.physics.joints.curves import AbstractCurve
 from spherejax.physics.joints.joint import AbstractJoint
 from spherejax.physics.laws.base import AbstractLaw
+from spherejax.physics.laws.depth import AbstractDepth
 
 Fields = Mapping[str, Field]
 
@@ -110,7 +111,7 @@ def _described(cls: type) -> Fields:
 
 FOLDERS: Mapping[ModuleType, tuple[type, ...]] = {
     joints: (AbstractJoint, AbstractCurve, AbstractSphericalModel),
-    laws: (AbstractLaw,),
+    laws: (AbstractLaw, AbstractDepth),
     forces: (AbstractForce, AbstractCoordinate),
     functions: (AbstractFunction,),
 }

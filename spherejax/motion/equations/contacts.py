@@ -104,7 +104,7 @@ def memory_after_step(
         was_touching = model.is_touching(memory_start[slot.entries])
         is_beyond = model.crossing(motion).value > 0
         slope = slopes[system.contact_joints.index(slot.joint)]
-        rate = penetration_rate(motion) - slope * model.penetration(motion)
+        rate = model.penetration_rate(motion) - slope * model.penetration(motion)
         return rate, ~was_touching & is_beyond, was_touching & ~is_beyond
 
     return _memory_after_events(system, y_end, event_of)
@@ -155,7 +155,7 @@ def state_after_events(
     def event_of(slot: MemorySlot, model: Any, motion: RelativeMotion):
         is_touching = model.is_touching(memory[slot.entries])
         happens = events[system.contact_joints.index(slot.joint)] > 0
-        return penetration_rate(motion), happens & ~is_touching, happens & is_touching
+        return model.penetration_rate(motion), happens & ~is_touching, happens & is_touching
 
     after = _memory_after_events(system, y, event_of)
     return jnp.concatenate([y[: layout.memory_start], after, y[layout.work_start :]])
@@ -176,7 +176,8 @@ def onset_slopes(system: System, t: Scalar, y: Float[Array, " size"]) -> Float[A
     rate = state_rate(system, t, y)
 
     def penetration_rates(y):
-        return jnp.stack([penetration_rate(m) for m in relative_motions(system, y).values()])
+        motions = relative_motions(system, y)
+        return jnp.stack([system.spherical(name).model.penetration_rate(m) for name, m in motions.items()])
 
     rates, accelerations = jax.jvp(penetration_rates, (y,), (rate,))
     is_grazing = jnp.abs(rates) < GRAZING_RATE
@@ -185,15 +186,6 @@ def onset_slopes(system: System, t: Scalar, y: Float[Array, " size"]) -> Float[A
 
 GRAZING_RATE = 1e-9
 """Onsets slower than this [m/s] touch the surface within the landing window: they have no instant to speak of."""
-
-
-def _length(e):
-    return jnp.sqrt(jnp.maximum(e @ e, 1e-300))
-
-
-def penetration_rate(motion: RelativeMotion) -> Scalar:
-    """Normal velocity delta_dot = e . e_dot / |e| [m/s]."""
-    return motion.eccentricity_rate @ motion.eccentricity / _length(motion.eccentricity)
 
 
 def initial_memory(system: System, y: Float[Array, " size"]) -> Float[Array, " n_memory"]:
@@ -237,7 +229,7 @@ def earlier_onset_rate(system: System, joint: str, motion: RelativeMotion, memor
 
     Limits: |delta_dot| at delta = 0, with derivative 0 where that vanishes as well.
     """
-    rate = penetration_rate(motion)
-    energy = system.spherical(joint).model.stored_energy(motion, memory)
+    model = system.spherical(joint).model
+    rate, energy = model.penetration_rate(motion), model.stored_energy(motion, memory)
     masses = [system.bodies[name].mass for name in system.joints[joint].bodies if name in system.bodies]
     return safe_sqrt(rate * rate + 2 * energy * sum(1 / jnp.asarray(mass) for mass in masses))

@@ -253,6 +253,8 @@ def _whole_at_instant(system: System, observation: Observation, y, what: Quantit
         model: Any = getattr(system.joints[str(what.owner)], "model", None)
         if getattr(model, "clearance", None) is None:
             raise SceneError(f"joint {what.owner!r} has no clearance: its model is {type(model).__name__}")
+        if model.has_surfaces and not model.surfaces.are_round:
+            return observation.parts[str(what.owner)]["penetration"]
         return safe_norm(observation.eccentricity[str(what.owner)]) - model.clearance
     if what.kind in ("elastic_energy", "mechanical_energy"):
         elastic = sum(observation.elastic_energy.values(), jnp.zeros(()))

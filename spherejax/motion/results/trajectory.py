@@ -365,7 +365,13 @@ class Trajectory(eqx.Module, Reported):
         return self._of_spherical(self.observation.eccentricity_rate, joint)
 
     def penetration(self, joint: str) -> Float[Array, " n"]:
-        """Penetration |e| - c of ball and socket [m]; negative where they do not touch."""
+        """Penetration |e| - c of ball and socket [m]; negative where they do not touch.
+
+        On surfaces that are not round it is less by their depths in the direction of e.
+        """
+        model: Any = getattr(self.system.joints[self._joint(joint)], "model", None)
+        if getattr(model, "has_surfaces", False) and not model.surfaces.are_round:
+            return self.part(joint, "penetration")
         return lengths_of(self.eccentricity(joint)) - self.clearance(joint)
 
     def eccentricity_ratio(self, joint: str) -> Float[Array, " n"]:

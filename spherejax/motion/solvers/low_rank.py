@@ -136,6 +136,7 @@ def _moved(joint: PlacedSpherical, motions, motion: RelativeMotion, positions, r
             (joint.bodies[1], motions[joint.bodies[1]], ball_turn),
         )
     }
+    ball_axes = motions[joint.bodies[1]].rotation
     moved = RelativeMotion(
         motion.eccentricity + shift,
         motion.eccentricity_rate + faster,
@@ -143,6 +144,7 @@ def _moved(joint: PlacedSpherical, motions, motion: RelativeMotion, positions, r
         joint.motion_of_centers(turned).relative_quaternion,
         motion.socket_angular_velocity + socket_spin,
         motion.ball_angular_velocity + ball_spin,
+        ball_axes + skew(ball_turn) @ ball_axes,
     )
     return joint.across(moved)
 

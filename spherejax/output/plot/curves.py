@@ -48,6 +48,7 @@ class Curves:
         kind: kind of the joint's model, which has a color of its own in all figures: ideal, dry, friction, lubricated
             or bushing; empty for another one.
         supplied: what drivers and forces have put in since the start [J], shape (n,); None where nothing can.
+        penetration: of the joint's surfaces [m], shape (n,); None: |e| - c.
     """
 
     label: str
@@ -63,11 +64,19 @@ class Curves:
     axis: str = "z"
     kind: str = ""
     supplied: np.ndarray | None = None
+    penetration: np.ndarray | None = None
 
     @property
     def distance(self) -> np.ndarray:
         """|e| [m], shape (n,)."""
         return np.linalg.norm(self.eccentricity, axis=1)
+
+    @property
+    def touching(self) -> np.ndarray:
+        """Whether the surfaces touch, shape (n,); never those of a joint without clearance."""
+        if self.clearance is None:
+            return np.zeros(len(self.ts), bool)
+        return self.distance >= self.clearance if self.penetration is None else self.penetration >= 0.0
 
     @property
     def energy_balance(self) -> np.ndarray:
@@ -212,6 +221,7 @@ def curves_of(run: Trajectory, label: str, *, body: str, joint: str, axis: str |
         axis=axis,
         kind=kind_of_model(model),
         supplied=np.asarray(run.supplied_work) if run.system.tracks_supply else None,
+        penetration=None if clearance is None else np.asarray(run.penetration(joint)),
     )
 
 

@@ -105,7 +105,7 @@ def _draw_path(ax: Axes, one: Curves, unit: float, scale: str, look: _Eccentrici
     in_plane = np.hypot(e[:, first], e[:, second])
     stretch = distance / np.where(in_plane > 0, in_plane, 1.0)
     x, z = stretch * e[:, first], stretch * e[:, second]
-    touching = np.zeros(len(e), bool) if one.clearance is None else one.distance >= one.clearance
+    touching = one.touching
     radius = np.nanmax(distance, initial=0.0) if one.clearance is None else unit * one.clearance
     _draw_flight(ax, x, z, radius, look.every, 0.4 if touching.any() else 0.7)
     if touching.any():

@@ -217,7 +217,7 @@ def slowest_sliding(one: Curves, *, after: float, half_width: float) -> tuple[fl
     """
     if one.sliding_speed is None or one.ts[-1] <= after + half_width:
         return None
-    touching = one.distance >= (one.clearance or 0.0)
+    touching = np.ones(len(one.ts), bool) if one.clearance is None else one.touching
     candidates = touching & (one.ts > after) & (one.ts < one.ts[-1] - half_width)
     if not candidates.any():
         return None

@@ -51,6 +51,7 @@ class JointMotion:
         eccentricity: e, world axes [m], shape (n, 3).
         force: on the ball's body [N], shape (n, 3); None where it is not known.
         clearance: radial clearance [m]; None for a joint without one.
+        penetration: of the surfaces [m], shape (n,); None: |e| - c.
     """
 
     name: str
@@ -58,6 +59,7 @@ class JointMotion:
     eccentricity: np.ndarray
     force: np.ndarray | None
     clearance: float | None
+    penetration: np.ndarray | None = None
 
     @property
     def radius(self) -> float:
@@ -65,6 +67,14 @@ class JointMotion:
         if self.clearance is not None:
             return self.clearance
         return max(float(np.linalg.norm(self.eccentricity, axis=1).max()), 1e-12)
+
+    def touches(self, t: float, distance: float) -> bool:
+        """Whether the surfaces touch at a time at which the ball is so far from the middle [m]."""
+        if self.clearance is None:
+            return False
+        if self.penetration is None:
+            return distance >= self.clearance
+        return bool(_between(self.ts, self.penetration[:, None], t)[0] >= 0.0)
 
     def at(self, t: float) -> tuple[np.ndarray, np.ndarray | None]:
         """Eccentricity and force at a time, linear between samples; a force that is rounding beside others is none."""
@@ -103,6 +113,7 @@ def joint_motion(mechanism: Mechanism, name: str) -> JointMotion:
         ends[1] - ends[0] if run is None else np.asarray(run.eccentricity(name))[:n],
         None if run is None else np.asarray(run.reaction(name))[:n],
         None if clearance is None else float(clearance),
+        None if clearance is None or run is None else np.asarray(run.penetration(name))[:n],
     )
 
 
@@ -213,7 +224,7 @@ class MagnifiedView:
         e, force = self.motion.at(pose.t)
         at = self._on_paper(e[None])[0]
         distance, radius = float(np.linalg.norm(e)), self.motion.radius
-        touches = self.motion.clearance is not None and distance >= self.motion.clearance
+        touches = self.motion.touches(pose.t, distance)
         color = CONTACT if touches else FLIGHT
         self.passed.set_data(*np.vstack([self.path[self.path_ts < pose.t], at]).T)
         self.arm.set_data([0.0, at[0]], [0.0, at[1]])

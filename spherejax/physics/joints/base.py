@@ -72,14 +72,18 @@ PART_UNITS = {
 """Units of the named parts of a response; a part of a user's own model has none."""
 
 
+SMALLEST_SQUARE = 1e-300
+"""Of a distance [m^2]: keeps the root's derivative finite for a ball in the middle of its socket."""
+
+
 class Crossing(NamedTuple):
     """A smooth function of time that changes sign when contact begins or ends.
 
     Attributes:
-        value: g = (|e|^2 / c^2 - 1) / 2, dimensionless: -1/2 for a concentric ball, 0 at contact, and about
+        value: g = (|p|^2 - 1) / 2 with p = e / c, dimensionless: -1/2 for a concentric ball, 0 at contact, and about
             penetration / clearance beyond. Unlike |e| - c it is smooth when the ball passes the socket's center.
         rate: its time derivative [1/s].
-        velocity: e_dot / c [1/s], whose changes say how much the path in the socket bends.
+        velocity: p_dot [1/s], whose changes say how much the path in the socket bends.
     """
 
     value: Scalar
@@ -209,6 +213,11 @@ class AbstractSphericalModel(eqx.Module):
     def penetration(self, motion: RelativeMotion) -> Scalar | None:
         """Penetration |e| - c [m], negative without contact; None for a model without a socket surface."""
         return None
+
+    def penetration_rate(self, motion: RelativeMotion) -> Scalar:
+        """Its time derivative [m/s]: e . e_dot / |e|, where the socket is round."""
+        e = motion.eccentricity
+        return motion.eccentricity_rate @ e / jnp.sqrt(jnp.maximum(e @ e, SMALLEST_SQUARE))
 
     def crossing(self, motion: RelativeMotion) -> Crossing:
         """The function whose sign says whether there is contact."""

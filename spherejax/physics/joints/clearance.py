@@ -1,5 +1,7 @@
 """What the dry and the lubricated joint share: a ball in a socket with clearance, and the memory of their contact."""
 
+from typing import Self
+
 import equinox as eqx
 import numpy as np
 
@@ -11,6 +13,7 @@ from spherejax.physics.joints.base import AbstractSphericalModel
 from spherejax.physics.joints.contact import (
     Surfaces,
     contact_crossing,
+    surface_contact,
 )
 from spherejax.physics.laws.conformity import LARGEST_HERTZIAN_RATIO, AbstractConformity
 from spherejax.physics.laws.friction import AbstractFrictionLaw
@@ -59,6 +62,10 @@ class AbstractClearanceModel(AbstractSphericalModel):
     def surfaces(self) -> Surfaces:
         """Geometry and material together."""
         return Surfaces(self.clearance, self.socket_radius, self.socket_material, self.ball_material, self.conformity)
+
+    def as_round(self) -> Self:
+        """The same model with surfaces that are spheres."""
+        return self
 
     @property
     def memory(self) -> tuple[MemoryEntry, ...]:
@@ -127,15 +134,27 @@ class AbstractClearanceModel(AbstractSphericalModel):
             else "JohnsonCylinder and EsduCylinder are of revolute joints; a ball has SphericalProfile, WinklerLiner."
         )
         of = "a journal in its bearing" if is_bearing else "a ball in its socket"
-        return [Requirement("conformity", name, fits, f"be of {of}", remedy)]
+        required = [Requirement("conformity", name, fits, f"be of {of}", remedy)]
+        if is_bearing and not self.surfaces.are_round:
+            remedy = "Depths by direction are of the ball and the socket of a Spherical joint."
+            required.append(Requirement("socket_depth, ball_depth", "given", False, f"be left out of {of}", remedy))
+        return required
 
     def penetration(self, motion):
-        """|e| - c [m]."""
-        return safe_norm(motion.eccentricity) - self.clearance
+        """|e| - c [m]; less, on surfaces that are not round, by their depths in the direction of e."""
+        if self.surfaces.are_round:
+            return safe_norm(motion.eccentricity) - self.clearance
+        return surface_contact(motion, self.surfaces).penetration
+
+    def penetration_rate(self, motion):
+        """Its time derivative [m/s]."""
+        if self.surfaces.are_round:
+            return super().penetration_rate(motion)
+        return surface_contact(motion, self.surfaces).penetration_rate
 
     def crossing(self, motion):
-        """Sign change at |e| = c."""
-        return contact_crossing(motion, self.clearance)
+        """Sign change at a penetration of zero."""
+        return contact_crossing(motion, self.surfaces)
 
     def is_touching(self, memory):
         """Whether an onset is remembered."""

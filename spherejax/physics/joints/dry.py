@@ -10,6 +10,7 @@ from spherejax.foundations.types import Number, Scalar, Unit
 from spherejax.physics.joints.base import Response
 from spherejax.physics.joints.clearance import AbstractClearanceModel, clearance_from
 from spherejax.physics.joints.contact import (
+    Surfaces,
     contact_effects,
     contact_forces,
     contact_law_requirements,
@@ -18,6 +19,7 @@ from spherejax.physics.joints.contact import (
     stiffness_of,
 )
 from spherejax.physics.laws.conformity import AbstractConformity
+from spherejax.physics.laws.depth import AbstractDepth
 from spherejax.physics.laws.friction import AbstractFrictionLaw
 from spherejax.physics.laws.material import Material
 from spherejax.physics.laws.normal import AbstractNormalLaw, LankaraniNikravesh
@@ -35,11 +37,18 @@ class Dry(AbstractClearanceModel):
         ball_material: material of the ball.
         conformity: how surfaces that nearly fit press back, in place of Hertz's law (`SphericalProfile`,
             `WinklerLiner`); None for that.
+        socket_depth: how deep the socket's surface lies below its sphere, by direction in the axes of its body: worn
+            away, or not round. None: it is a sphere.
+        ball_depth: the same of the ball, in the axes of its body.
 
     Args:
         ball_radius: R_j, instead of the clearance [m].
 
-    Source: the paper, sections 3.2, 4.1, 4.2; defaults from its Table 3.
+    With depths the penetration is |e| - c - h_i - h_j, the depths taken in the direction of e. Their mean goes into the
+    stiffness of Eq. 24, or of a conformity; how they curve does not.
+
+    Source: the paper, sections 3.2, 4.1, 4.2; defaults from its Table 3. The forces on surfaces that are not round are
+    derived here, see `spherejax.physics.joints.contact`.
     """
 
     clearance: Number
@@ -49,6 +58,8 @@ class Dry(AbstractClearanceModel):
     socket_material: Material
     ball_material: Material
     conformity: AbstractConformity | None
+    socket_depth: AbstractDepth | None
+    ball_depth: AbstractDepth | None
     _ball_radius_given: bool = eqx.field(static=True)
 
     def __init__(
@@ -62,6 +73,8 @@ class Dry(AbstractClearanceModel):
         socket_material: Material | None = None,
         ball_material: Material | None = None,
         conformity: AbstractConformity | None = None,
+        socket_depth: AbstractDepth | None = None,
+        ball_depth: AbstractDepth | None = None,
     ):
         self.clearance = clearance_from(clearance, socket_radius, ball_radius)
         self.socket_radius = socket_radius
@@ -70,11 +83,27 @@ class Dry(AbstractClearanceModel):
         self.socket_material = Material() if socket_material is None else socket_material
         self.ball_material = Material() if ball_material is None else ball_material
         self.conformity = conformity
+        self.socket_depth = socket_depth
+        self.ball_depth = ball_depth
         self._ball_radius_given = ball_radius is not None
 
     @property
+    def surfaces(self) -> Surfaces:
+        """Geometry and material together."""
+        return super().surfaces._replace(socket_depth=self.socket_depth, ball_depth=self.ball_depth)
+
+    def as_round(self) -> "Dry":
+        """The same joint with surfaces that are spheres."""
+        if self.surfaces.are_round:
+            return self
+        round_ones = None, None
+        return eqx.tree_at(
+            lambda m: (m.socket_depth, m.ball_depth), self, round_ones, is_leaf=lambda leaf: leaf is None
+        )
+
+    @property
     def effects(self):
-        """Elastic contact, then what the normal law adds to it, then friction."""
+        """Elastic contact, then what the normal law adds to it, then friction, then surfaces that are not round."""
         return contact_effects(self, "normal contact, elastic")
 
     def requirements(self) -> list[Requirement]:
@@ -87,7 +116,7 @@ class Dry(AbstractClearanceModel):
         """Contact forces on the ball, at the contact point, as force and moments at the centers."""
         surfaces = self.surfaces
         contact = contact_forces(motion, memory, surfaces, self.normal, self.friction)
-        ball_moment, socket_moment = contact_moments(motion, surfaces, contact.friction)
+        ball_moment, socket_moment = contact_moments(motion, surfaces, contact.friction, contact.normal_force)
         penetration = self.penetration(motion)
         return Response(
             force=contact.force,

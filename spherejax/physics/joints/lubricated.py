@@ -213,7 +213,7 @@ class Lubricated(AbstractClearanceModel):
         contact = contact_forces(motion, memory, surfaces, self.normal, self.friction, weight)
         film = self.film.action(self._film_motion(motion, memory), self._film_gap)
         share = 1 - weight
-        ball_moment, socket_moment = contact_moments(motion, surfaces, contact.friction)
+        ball_moment, socket_moment = contact_moments(motion, surfaces, contact.friction, contact.normal_force)
         penetration = self.penetration(motion)
         return Response(
             force=share * film.force + contact.force,

@@ -177,6 +177,7 @@ class PlacedSpherical(AbstractPlacedJoint):
             relative,
             socket.angular_velocity,
             ball.angular_velocity,
+            ball.rotation,
         )
 
     def respond(self, motions: Motions, memory: Float[Array, " n_memory"]) -> Response:

@@ -81,6 +81,12 @@ def pose_play(scene: Scene, point: str, *, t: Number = 0.0) -> PosePlay:
     for name, joint in loose.items():
         if isinstance(joint, PlacedJournal) and joint.guide is None:
             raise SceneError(f"joint {name!r} is a rim, which tilts in its bearing: give a Revolute in its place")
+        surfaces: Any = getattr(joint.model, "surfaces", None)
+        if surfaces is not None and not surfaces.are_round:
+            raise SceneError(
+                f"joint {name!r} has surfaces that are not round, and play is of round ones: leave out its "
+                "socket_depth and ball_depth, with a clearance that is larger by their mean"
+            )
     ideal = {name: ideal_joint(joint, friction=False) for name, joint in system.joints.items()}
     bare = System(system.bodies, ideal, {}, system.gravity, NoDriftControl(), (), False)
     starts = {name: rows.start for name, rows in joint_rows(bare).items()}

@@ -86,7 +86,7 @@ def _depth_for(joint: PlacedSpherical, force: Scalar) -> Float[Array, "2"]:
 
     def answer(distance):
         e = jnp.stack([distance, jnp.zeros(()), jnp.zeros(())])
-        motion = RelativeMotion(e, zero, jnp.eye(3), jnp.array([1.0, 0.0, 0.0, 0.0]), zero, zero)
+        motion = RelativeMotion(e, zero, jnp.eye(3), jnp.array([1.0, 0.0, 0.0, 0.0]), zero, zero, jnp.eye(3))
         return -joint.model.respond(motion, pressed).force[0]
 
     def halve(_, ends):

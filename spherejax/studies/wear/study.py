@@ -152,8 +152,11 @@ def _contact_model(run: Trajectory, joint: str) -> Any:
             f"joint {joint!r} is a journal in its bearing: maps of wear are those of a ball and its socket. What "
             "Archard's law rubs off in all is k times the integral of normal_force |sliding_velocity| over time"
         )
+    model: Any = run.system.spherical(joint).model
+    if not model.surfaces.are_round:
+        raise SceneError(f"joint {joint!r} has surfaces that are not round: wear of those is not known here")
     run.require_success()
-    return run.system.spherical(joint).model
+    return model
 
 
 def _check_numbers(joint, k_socket, k_ball, cycles, foundation, cells, largest_block) -> None:
