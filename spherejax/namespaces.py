@@ -54,7 +54,7 @@ MOVED = {
             pressure_peak realized_restitution shear_factors squeeze_coefficient squeeze_factor
         """,
         "results": """
-            Accuracy Assembly ConstraintReport Equilibrium GlobalError Mode MotionState Peak Runs
+            Accuracy Assembly ConstraintReport Equilibrium GlobalError ImpactRows Mode MotionState Peak Runs
         """,
         "solvers": """
             AbstractDriftControl Baumgarte Block Dop853 NoDriftControl PostStabilization Projection Rodas4P

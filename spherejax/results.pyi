@@ -3,6 +3,7 @@ from .motion.results.global_error import GlobalError
 from .motion.results.impacts import Peak
 from .motion.results.modes import Mode
 from .motion.results.motion_state import MotionState
+from .motion.results.traced_impacts import ImpactRows
 from .motion.results.trajectory import Trajectory
 from .motion.runs.many import Runs
 from .motion.start.assembly import Assembly
@@ -15,6 +16,7 @@ __all__ = [
     "ConstraintReport",
     "Equilibrium",
     "GlobalError",
+    "ImpactRows",
     "Mode",
     "MotionState",
     "Peak",

@@ -36,7 +36,7 @@ COLUMNS = {
 
 
 class _Touch(NamedTuple):
-    """A joint at one instant."""
+    """A joint at one instant: what `COLUMNS` are made of, and its crossing function (`Crossing.value`)."""
 
     onset_rate: Scalar
     force: Vector3
@@ -45,11 +45,12 @@ class _Touch(NamedTuple):
     elastic_energy: Scalar
     sliding: Vector3
     place: Vector3
+    crossing: Scalar
 
 
 @lru_cache(maxsize=64)
-def _touch_of(joint: str):
-    """One function for the same joint: programs are kept by function."""
+def touch_of(joint: str):
+    """What a joint does at a state, as `_Touch`; one function for the same joint: programs are kept by function."""
 
     def touch(system: System, t: Scalar, y: Float[Array, " size"]) -> _Touch:
         state = unpack(system.layout, y)
@@ -66,9 +67,17 @@ def _touch_of(joint: str):
             load.response.elastic_energy,
             sliding_velocity(motion, model.surfaces),
             motion.socket_rotation.T @ direction_of(motion.eccentricity),
+            model.crossing(motion).value,
         )
 
     return touch
+
+
+def require_contact(system: System, joint: str) -> None:
+    """`SceneError` for a joint without contact."""
+    if joint not in system.contact_joints:
+        known = ", ".join(map(repr, system.contact_joints)) or "none"
+        raise SceneError(f"joint {joint!r} has no contact whose onsets are located; those that have: {known}")
 
 
 def impacts(system: System, steps: Steps, joint: str, scalar: bool | None) -> dict[str, np.ndarray]:
@@ -83,10 +92,8 @@ def impacts(system: System, steps: Steps, joint: str, scalar: bool | None) -> di
     Integrals are by Gauss and Legendre's rule in each step. Peaks are looked for at four instants inside each step and
     its end, and taken from the polynomial through eight instants of that step, for which the run is made once more.
     """
-    if joint not in system.contact_joints:
-        known = ", ".join(map(repr, system.contact_joints)) or "none"
-        raise SceneError(f"joint {joint!r} has no contact whose onsets are located; those that have: {known}")
-    see = _touch_of(joint)
+    require_contact(system, joint)
+    see = touch_of(joint)
     n, k = steps.inside.shape
     size = steps.at_ends.shape[1]
     ends = seen_at(
@@ -156,9 +163,9 @@ class _Curve(NamedTuple):
     """
 
     ends: np.ndarray
-    at_ends: np.ndarray
+    at_ends: Any
     inside: np.ndarray
-    at_inside: np.ndarray
+    at_inside: Any
     column: int
 
     @property

@@ -101,7 +101,8 @@ def steps_of(
     """
     if not is_concrete(ys) or np.ndim(ys) != 2:
         raise SceneError(
-            "steps are told of a single run, outside of jit and vmap; take one lane, or record peaks by sj.sweep"
+            "steps are told of a single run, outside of jit and vmap; take one lane, or record peaks by sj.sweep; "
+            "within a trace run.impact_rows(joint) has the contacts"
         )
     settings = repeatable(settings)
     structure, theta = flatten_by_factor(system)

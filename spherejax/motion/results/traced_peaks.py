@@ -18,7 +18,6 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from spherejax.foundations.errors import SceneError
@@ -30,8 +29,8 @@ from spherejax.motion.integration.problem import Plan
 from spherejax.motion.results.between import states_at
 from spherejax.motion.results.impacts import Peak, magnitudes_of
 from spherejax.motion.results.steps import SHARES, Repetition, repeated_in_steps
-from spherejax.motion.results.traced_steps import refusing, repetition_of, seen_at_steps
-from spherejax.motion.results.within_steps import COEFFICIENTS, LARGEST_RISE, NODES, place_of_maximum
+from spherejax.motion.results.traced_steps import largest_within, refusing, repetition_of, seen_at_steps
+from spherejax.motion.results.within_steps import COEFFICIENTS, NODES, place_of_maximum
 
 FLAT = 1e-3
 """The largest value of a step at one of its ends counts as a maximum where the quantity changes by less than this share
@@ -45,14 +44,6 @@ JUMPS = (
 )
 
 TOO_MANY = "the run has more than {steps} steps, so its peak is not known; give more: run.peak({name!r}, steps=...)"
-
-
-_FINE = np.linspace(0.0, 1.0, 201)
-FINE_WEIGHTS = np.stack(
-    [np.prod([(_FINE - other) / (node - other) for other in SHARES if other != node], axis=0) for node in SHARES],
-    axis=1,
-)
-"""Lagrange's polynomials of the inner nodes."""
 
 
 class _Step(NamedTuple):
@@ -131,10 +122,7 @@ def _looked(plan: Plan, name: str, steps: int, again: Repetition) -> _Step:
     seen = seen_at_steps(see, 1, times.ravel(), states.reshape(-1, y0.shape[0]), n * k).reshape(steps, k)
     first = see(begin, y0)[0]
     lengths = times[:, -1] - jnp.concatenate([begin[None], times[:-1, -1]])
-    rising = jnp.max(seen[:, :-1] @ jnp.asarray(FINE_WEIGHTS).T, axis=1)
-    highest = jnp.max(seen[:, :-1], axis=1)
-    is_believed = (rising >= highest) & (rising <= highest + LARGEST_RISE * jnp.abs(highest))
-    best = jnp.where(jnp.arange(steps) < n, jnp.where(is_believed, rising, highest), -jnp.inf)
+    best = jnp.where(jnp.arange(steps) < n, largest_within(seen[:, :-1]), -jnp.inf)
     step = jnp.argmax(best)
     at_ends = jnp.concatenate([first[None], seen[:, -1]])
     end = jnp.argmax(at_ends)

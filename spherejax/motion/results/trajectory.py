@@ -32,6 +32,7 @@ from spherejax.motion.results.observed import body_of, lengths_of, looked_up_of,
 from spherejax.motion.results.reported import Reported
 from spherejax.motion.results.spectra import spectrum
 from spherejax.motion.results.steps import Steps, steps_of
+from spherejax.motion.results.traced_impacts import ImpactRows, impact_rows
 from spherejax.motion.results.traced_peaks import traced_peak
 from spherejax.motion.settings import RunSettings
 from spherejax.motion.start.assembly import Assembly
@@ -529,10 +530,53 @@ class Trajectory(eqx.Module, Reported):
         of the run, to about its tolerance.
 
         Raises:
-            SceneError: for a joint without contact, a batched or traced run, or a run that cannot be repeated.
+            SceneError: for a joint without contact, a batched or traced run (see `impact_rows`), or a run that cannot
+                be repeated.
         """
         steps = self._steps
         return table_of(impacts(self.system, steps, joint, self.scalar), joint)
+
+    def impact_rows(
+        self, joint: str, *, rows: int = 32, steps: int = 4096, contact_steps: int | None = None
+    ) -> ImpactRows:
+        """Each contact of a joint as arrays of a fixed length, within `jit`, `vmap` and `grad` too: `impacts` in rows.
+
+            def hardest(clearance):
+                contacts = sj.simulate(scene(clearance), ts).impact_rows("elbow", rows=16)
+                return jnp.max(jnp.where(contacts.is_contact, contacts.peak_force, 0.0))
+
+            jax.grad(hardest)(1e-4)
+
+        Rows are in the order of the onsets. `is_contact` says which rows are contacts; the others are zeros. The
+        instants of onset and release, the peaks, the impulse, the energy lost, the velocities and the place have the
+        derivatives of the run: instants by the implicit function, peaks by the partial derivative at their instants,
+        integrals with their limits (energies to some 1e-6 of the energy itself). The run is made twice more, once for
+        its steps and once, with derivatives, at the instants that are needed.
+
+        Args:
+            joint: with contact.
+
+        Other args:
+            rows: the largest number of contacts.
+            steps: within a trace, the largest number of steps that the run may have.
+            contact_steps: the largest number of steps in contact, of all rows together; None: 32 for each row, enough
+                for impacts. A ball that stays pressed to its wall may need more.
+
+        Returns:
+            The rows. Where the run has more contacts, steps or steps in contact than there is room for, all numbers are
+            NaN and `is_contact` is true everywhere, so that no sum passes over it; `n_contacts`, `n_steps` and
+            `n_contact_steps` say how many there are. NaN, too, where the motion with derivatives parts from the run
+            (chaos).
+
+        Raises:
+            SceneError: for a joint without contact, for many runs (use `jax.vmap`), and for a run that cannot be
+                repeated.
+
+        Limits: a contact without a normal velocity at its onset or release has no derivative of that instant, and a
+        peak where the force jumps none of its value: to differentiate it raises an error while the program runs.
+        `jax.vmap` looks at one run after the other, with a `SerialRunsWarning`.
+        """
+        return impact_rows(self, joint, rows, steps, contact_steps)
 
     def spectrum(self, name: str, frequencies: Float[np.ndarray, " m"] | None = None) -> "xarray.Dataset":
         """Amplitude and phase by frequency [Hz], e.g. of "reaction.elbow.z", from all steps: see `motion.spectra`."""
