@@ -7,9 +7,12 @@ change of sign of g = (quantity - level) lies between two neighbors of these. Th
     g(t*, y(t*)) = 0,    dt*/dp = -(dg/dp at fixed t*) / (dg/dt),    dy*/dp = (dy/dp at fixed t*) + (dy/dt) dt*/dp,
 
 the instant is a root to rounding, and has the derivative of the implicit function.
+
+A condition that is a function of the user's is traced once (`condition_functions`): the arrays that it closes over are
+operands from then on, so that they may be traced, mapped and differentiated.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -18,6 +21,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
 from jaxtyping import Array, Float
 
 from spherejax.foundations.checks import is_concrete, is_tracing, shown
@@ -44,30 +48,45 @@ TOO_MANY = "the run has more than {steps} steps: where until= ends it is not kno
 
 
 class When(eqx.Module):
-    """A condition: a quantity passes a level. See `until=` of `sj.simulate`.
+    """A condition: a quantity, or a function of the state, passes a level. See `until=` of `sj.simulate`.
 
         sj.When("position.arm.z", 0.1, rising=True)
 
+        f = sj.ode(scene).f
+        sj.When(lambda t, y, args: f.unpack(y).bodies["arm"].position[2] - floor(t))
+
     Attributes:
-        what: name of a quantity that is a number, as `sj.sweep` records it (static).
+        what: name of a quantity that is a number, as `sj.sweep` records it; or a function `(t, y, args)` that returns
+            a number, with the arguments of `sj.ode(scene).f.observe` and of the conditions of `diffrax.Event`: time
+            [s], flat state (a row of `run.ys`), and the numbers of the scene (`run.system`). It may close over arrays,
+            traced ones too, and derivatives by these are right (static).
         level: in its unit; it may be traced and differentiated.
         rising: True where it passes upwards, False downwards, None either way (static).
         steps: within a trace, the largest number of steps that the run may have (static).
     """
 
-    what: str = eqx.field(static=True)
+    what: str | Callable = eqx.field(static=True)
     level: Any = 0.0
     rising: bool | None = eqx.field(static=True, default=None)
     steps: int = eqx.field(static=True, default=4096)
 
     def __check_init__(self) -> None:
-        if not isinstance(self.what, str):
-            raise SceneError(f"what = {shown(self.what)} is no name of a quantity; give e.g. 'position.arm.z'")
+        if not isinstance(self.what, str) and not callable(self.what):
+            raise SceneError(
+                f"what = {shown(self.what)} is no name of a quantity and no function; give e.g. 'position.arm.z', or a "
+                "function (t, y, args) that returns a number"
+            )
         real_number("level", self.level)
         if self.rising not in (True, False, None):
             raise SceneError(f"rising = {shown(self.rising)} must be True (upwards), False (downwards) or None (both)")
         if not isinstance(self.steps, int) or self.steps < 1:
             raise SceneError(f"steps = {shown(self.steps)} must be a whole number, at least 1")
+
+    @property
+    def name(self) -> str:
+        """The quantity, or what the function is called."""
+        what: Any = self.what
+        return what if isinstance(what, str) else getattr(what, "__qualname__", type(what).__qualname__)
 
 
 def conditions_of(until: Any) -> tuple[When, ...]:
@@ -98,18 +117,19 @@ class _Bracket(NamedTuple):
 def stopped(run: Any, conditions: tuple[When, ...]) -> Any:
     """The run up to the first instant at which a condition is met, as a `Trajectory`; see `until=` of `simulate`."""
     for condition in conditions:
-        what = quantity(condition.what, run.system)
-        if what.dims:
+        if isinstance(condition.what, str) and quantity(condition.what, run.system).dims:
             raise SceneError(
                 f"until: {condition.what!r} is a vector; name one of its components, such as '{condition.what}.x'"
             )
-    are_known = all(map(is_concrete, (run.ys, run.ended, run.t_reached, *(c.level for c in conditions))))
-    are_known = are_known and not is_tracing()
+    functions = condition_functions(run, conditions)
+    closed_over = [array for function in functions if function is not None for array in function.closed_over]
+    numbers = run.ys, run.ended, run.t_reached, *(c.level for c in conditions), *closed_over
+    are_known = all(map(is_concrete, numbers)) and not is_tracing()
     steps = room_for_steps(int(run.stats.n_accepted)) if are_known else max(c.steps for c in conditions)
-    bracket = _bracket(run, conditions, steps, are_known)
+    bracket = _bracket(run, conditions, functions, steps, are_known)
     if are_known and int(bracket.which) < 0:
         return replace(run, stopped_by=jnp.asarray(-1))
-    t, y = _root(run, conditions, bracket)
+    t, y = _root(run, conditions, functions, bracket)
     has_met = bracket.which >= 0
     if are_known:
         before = np.asarray(run.ts) < float(t)
@@ -130,20 +150,89 @@ def stopped(run: Any, conditions: tuple[When, ...]) -> Any:
     )
 
 
-def _bracket(run: Any, conditions: tuple[When, ...], steps: int, are_known: bool) -> _Bracket:
+class ConditionFunction(NamedTuple):
+    """A user's function (t, y, args), traced.
+
+    Attributes:
+        program: the same as a function of the arrays that it closes over, and of t, y, and the numbers of the scene.
+        closed_over: these arrays.
+    """
+
+    program: Callable
+    closed_over: tuple
+
+
+def condition_functions(run: Any, conditions: tuple[When, ...]) -> list[ConditionFunction | None]:
+    """The functions among the conditions, traced; None in the places of names.
+
+    Raises:
+        SceneError: for a function that fails, or that does not return one real number.
+    """
+    return [None if isinstance(c.what, str) else _traced_function(run, c) for c in conditions]
+
+
+def _traced_function(run: Any, condition: When) -> ConditionFunction:
+    name, (size,) = condition.name, run.ys.shape[1:]
+    expected = (
+        f"until: {name} is called with the time, the flat state of shape ({size},) and the numbers of the scene, "
+        "(t, y, args), and returns one real number, which passes the level"
+    )
+    what: Any = condition.what
+    try:
+        closed, shape = jax.make_jaxpr(what, return_shape=True)(jnp.zeros(()), jnp.zeros(size), run.system)
+    except SceneError:
+        raise
+    except Exception as error:  # whatever a user's function raises
+        reason = (str(error).strip().splitlines() or [""])[0]
+        raise SceneError(f"{expected}. It raised {type(error).__name__}: {reason}") from error
+    leaves = jax.tree.leaves(shape)
+    if len(leaves) != 1 or leaves[0].shape or jax.tree.structure(shape) != jax.tree.structure(0):
+        shapes = ", ".join(str(leaf.shape) for leaf in leaves) or "nothing"
+        raise SceneError(f"{expected}. It returns arrays of the shapes {shapes}; take one entry, or a sum")
+    if not jnp.issubdtype(leaves[0].dtype, jnp.floating):
+        is_truth = leaves[0].dtype == bool
+        remedy = "the difference, e.g. y[2] - 0.1 in place of y[2] < 0.1" if is_truth else "a real number"
+        raise SceneError(f"{expected}. It returns a value of type {leaves[0].dtype}; return {remedy}")
+
+    def program(closed_over, t, y, system):
+        (value,) = jaxpr_as_fun(ClosedJaxpr(closed.jaxpr, closed_over))(*jax.tree.leaves((t, y, system)))
+        return value
+
+    return ConditionFunction(program, tuple(closed.consts))
+
+
+def _bracket(run: Any, conditions: tuple[When, ...], functions: list, steps: int, are_known: bool) -> _Bracket:
     """Of a single run; no derivative passes, and `jax.vmap` of it is a loop."""
     plan, again = repetition_of(run)
     names, risings = tuple(c.what for c in conditions), tuple(c.rising for c in conditions)
     levels = jnp.stack([jnp.asarray(c.level, jnp.float64) for c in conditions])
-    look: Any = partial(_crossed, plan, names, risings, steps)
+    own = [function for function in functions if function is not None]
+    look: Any = partial(_crossed_names, plan, names, risings, steps)
+    operands: tuple = (again, levels)
+    if own:
+        # A function of the user's is a new program in each call: what it closes over may have changed.
+        look = partial(_crossed, plan, names, risings, steps, [function.program for function in own])
+        operands = again, levels, [function.closed_over for function in own], run.system
     if not are_known:
         look = jax.custom_batching.sequential_vmap(look)
-    return look(*jax.lax.stop_gradient(jax.tree.map(jnp.asarray, (again, levels))))
+    return look(*jax.lax.stop_gradient(jax.tree.map(jnp.asarray, operands)))
 
 
 @cached_jit(what="where a run ends")
+def _crossed_names(plan: Plan, names: tuple, risings: tuple, steps: int, again: Repetition, levels) -> _Bracket:
+    return _crossed(plan, names, risings, steps, [], again, levels, [], None)
+
+
 def _crossed(
-    plan: Plan, names: tuple, risings: tuple, steps: int, again: Repetition, levels: Float[Array, " c"]
+    plan: Plan,
+    names: tuple,
+    risings: tuple,
+    steps: int,
+    programs: list,
+    again: Repetition,
+    levels: Float[Array, " c"],
+    closed_over: list,
+    system: Any,
 ) -> _Bracket:
     theta, y0, ends = again.theta, again.y0, again.ends
     begin = ends[0]
@@ -153,8 +242,18 @@ def _crossed(
     k = len(SHARES) + 1
     times = jnp.concatenate([begin[None], log.times[0].ravel()])
     states = jnp.concatenate([y0[None], log.states[0].reshape(steps * k, -1)])
-    program = program_for(values_of(names), plan.structure, plan.scalar, is_quiet=True)
-    seen = seen_at_steps(lambda t, y: program(theta, t, y), len(names), times, states, 1 + n * k)
+    quantities = tuple(name for name in names if isinstance(name, str))
+    # By the order of the conditions: values of names come first, then those of functions.
+    order = np.argsort(np.argsort([not isinstance(name, str) for name in names], kind="stable"))
+
+    def see(t, y):
+        parts = [program(own, t, y, system)[None] for program, own in zip(programs, closed_over, strict=True)]
+        if quantities:
+            program = program_for(values_of(quantities), plan.structure, plan.scalar, is_quiet=True)
+            parts.insert(0, program(theta, t, y))
+        return jnp.concatenate(parts)[order]
+
+    seen = seen_at_steps(see, len(names), times, states, 1 + n * k)
     above = seen - levels
     is_there = jnp.arange(1, times.shape[0]) < 1 + n * k
     first, which = jnp.asarray(times.shape[0]), jnp.asarray(-1)
@@ -169,14 +268,17 @@ def _crossed(
     return _Bracket(jnp.where(has_met, times[at], begin), jnp.where(has_met, times[at + 1], begin), which, n)
 
 
-def _root(run: Any, conditions: tuple[When, ...], bracket: _Bracket) -> tuple[Scalar, Float[Array, " size"]]:
+def _root(run: Any, conditions: tuple[When, ...], functions: list, bracket: _Bracket) -> tuple:
     """The instant at which the condition is met, and the flat state there."""
     middle, half = (bracket.begin + bracket.end) / 2, (bracket.end - bracket.begin) / 2
     states = states_at(run, jnp.append(bracket.begin + jnp.asarray(NODES) * 2 * half, bracket.end))
     which = bracket.which
 
     def above(states: MotionState) -> Array:
-        values = [states.value(c.what) - c.level for c in conditions]
+        values = [
+            (states.value(str(c.what)) if function is None else _value(run, function, states)) - c.level
+            for c, function in zip(conditions, functions, strict=True)
+        ]
         return jnp.stack(values)[jnp.maximum(which, 0)]
 
     of_states = jnp.asarray(COEFFICIENTS) @ states.y[:-1]
@@ -190,9 +292,18 @@ def _root(run: Any, conditions: tuple[When, ...], bracket: _Bracket) -> tuple[Sc
     delay = -above(there) / jnp.where(slope != 0, slope, 1.0)
     # Newton's step from the root of the polynomial: rounding in its value, the implicit function in its derivative.
     delay = jnp.where(has_root & (slope != 0), delay, 0.0)
-    delay = refusing(JUMPS.format(name=" or ".join(c.what for c in conditions)), delay, has_root | (which < 0))
+    delay = refusing(JUMPS.format(name=" or ".join(c.name for c in conditions)), delay, has_root | (which < 0))
     t_met, y_met = t + delay, y + rate * delay
     return jnp.where(has_root, t_met, bracket.end + delay), jnp.where(has_root, y_met, states.y[-1] + 0 * delay)
+
+
+def _value(run: Any, function: ConditionFunction, states: MotionState) -> Array:
+    """Of a user's function, at a state or at many."""
+
+    def at(t, y):
+        return function.program(function.closed_over, t, y, run.system)
+
+    return (jax.vmap(at) if np.ndim(states.ended) else at)(jnp.asarray(states.t), jnp.asarray(states.y))
 
 
 def _first_of(states: MotionState) -> MotionState:

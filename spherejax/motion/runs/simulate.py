@@ -49,7 +49,7 @@ from spherejax.motion.runs.preparation import (
     prepared,
     scene_tolerances,
 )
-from spherejax.motion.runs.times import seconds_of
+from spherejax.motion.runs.times import sample_times, seconds_of
 from spherejax.motion.settings import DEFAULT_MAX_STEPS, RunSettings
 from spherejax.motion.solvers.automatic import SolverChoice, choose_solver
 from spherejax.motion.solvers.given_steps import GivenSteps
@@ -88,6 +88,7 @@ def simulate(
     throw: bool = False,
     accuracy: str | float | Mapping[str, str | float] | None = None,
     until: When | Sequence[When] | None = None,
+    saveat: diffrax.SaveAt | None = None,
 ) -> Trajectory:
     """Simulate a scene.
 
@@ -137,7 +138,8 @@ def simulate(
         throw: raise `SimulationError` when the run fails; otherwise a failed run carries its status, and a
             `SimulationWarning` is given where the outcome is known at once.
         until: a condition at which the motion ends before the last sample time, such as
-            `sj.When("position.arm.z", 0.1, rising=True)`, or several: the first one that is met. The run then ends with
+            `sj.When("position.arm.z", 0.1, rising=True)` or `sj.When(lambda t, y, args: ...)`, a function of the state,
+            or several: the first one that is met. The run then ends with
             a sample at that instant, a root to rounding; `run.stopped_by` says which condition was met, `run.end` is
             the state there. Within `jit`, `vmap` and `grad` the number of samples is fixed: those behind the end are
             the sample at the end again, with its time in `run.ts`. The instant and all that is observed there have
@@ -146,6 +148,10 @@ def simulate(
             up to the last sample time. A quantity that passes the level and comes back between two of the five instants
             that are looked at in each step is not seen. With a step-size controller of your own it is refused: such a
             run cannot be repeated.
+        saveat: a `diffrax.SaveAt` whose `ts` are samples beside those of `ts`, which then may be start and end alone.
+            Both of these are samples of every run (`t0`, `t1`), and every run has its dense output, `run.at`. What has
+            no counterpart is refused, with what there is in its place: `steps`, `fn`, several `subs`, states of the
+            solver.
 
     Returns:
         The motion at the sample times.
@@ -159,6 +165,7 @@ def simulate(
         rtol, atol, solver, stepsize_controller, adjoint, derivative_rtol, max_steps, track_work, scalar
     )
     conditions = () if until is None else conditions_of(until)
+    ts = ts if saveat is None else sample_times(ts, saveat)
     limits = None if accuracy is None else _limits(scene, ts, accuracy, settings)
     with read_once(), captures_explained([scene]):
         call = _call(scene, ts, settings)
