@@ -27,6 +27,9 @@ from spherejax.motion.equations.programs import program_for
 
 PACKAGE = Path(sj.__file__).parent
 UNDER_THE_EQUATIONS = PACKAGE / "compiler", PACKAGE / "foundations"
+FREE = ("constant", "input", "custom_jvp_node")
+"""Nodes that are no operations."""
+
 STATE = 2
 """Place of the state among the arguments of a right-hand side."""
 
@@ -87,21 +90,29 @@ class NotingForward(Forward):
 def by_function(line) -> Counter:
     """How many operations of a line each function has asked for."""
     graph, origins = line.graph, vars(line.graph)["origins"]
-    free = {
-        *line.flat_residuals,
-        *(n for n in line.nodes if graph.operations[n] in ("constant", "input", "custom_jvp_node")),
-    }
+    free = {*line.flat_residuals, *(n for n in line.nodes if graph.operations[n] in FREE)}
     return Counter(origins.get(n, "another") for n in line.nodes if n not in free)
 
 
-def rows_of(name: str, scene: sj.Scene) -> list[dict[str, object]]:
-    """The rows of a scene."""
+def lines_of(name: str, scene: sj.Scene) -> tuple:
+    """What is evaluated again and again: the value, the value with its coefficients, a row of its derivative."""
     structure, _ = flatten_system(compile_scene(scene).system)
     program = program_for(state_rate, structure).scalar
     assert program is not None, f"{name} has no scalar program"
     line = program._line("rest", True)
     derivative = line.derivative(tuple(i == STATE for i in range(len(line.shapes) + len(line.residuals))))
-    counts = [by_function(each) for each in (line, derivative.values, derivative.slopes)]
+    return line, derivative.values, derivative.slopes
+
+
+def n_evaluated(line) -> int:
+    """How many operations a line evaluates."""
+    operations, free = line.graph.operations, {*line.flat_residuals}
+    return sum(n not in free and operations[n] not in FREE for n in line.nodes)
+
+
+def rows_of(name: str, scene: sj.Scene) -> list[dict[str, object]]:
+    """The rows of a scene."""
+    counts = [by_function(each) for each in lines_of(name, scene)]
     functions = sorted(set().union(*counts), key=lambda each: -sum(count[each] for count in counts))
     rows: list[dict[str, object]] = [
         {"scene": name, "function": each, **dict(zip(("value", "with_coefficients", "row"), numbers, strict=True))}

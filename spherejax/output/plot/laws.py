@@ -7,17 +7,20 @@ from itertools import cycle
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from spherejax.foundations.errors import SceneError
+from spherejax.foundations.types import Scalar
 from spherejax.output.plot.style import LAW_COLORS, LAW_DASHES, legend_below, letter, new_figure, note, repeated
 from spherejax.physics.joints.contact import stiffness_of
 from spherejax.physics.joints.lubricated import Lubricated
 from spherejax.physics.laws.film import film_force, hybrid_weight
 from spherejax.physics.laws.friction import AbstractFrictionLaw
 from spherejax.physics.laws.impact import maximum_penetration, realized_restitution
-from spherejax.physics.laws.normal import AbstractHysteresisLaw, ExactRestitution, Hertz
+from spherejax.physics.laws.normal import AbstractHysteresisLaw, AbstractNormalLaw, ExactRestitution, Hertz, by_factor
+from spherejax.program_cache import cached_jit
 
 ImpactLaw = Hertz | AbstractHysteresisLaw
 """A law whose free impact is known in closed form."""
@@ -92,9 +95,21 @@ def _damping_alone(ax: Axes, damped: Sequence[tuple[np.ndarray, np.ndarray, dict
 
 def _free_impact(law: ImpactLaw, mass: float, rate: float, stiffness: float) -> tuple[np.ndarray, np.ndarray]:
     """Penetration [m] and force [N] from onset to separation."""
-    deepest = float(maximum_penetration(mass, rate, law.hysteresis_factor(), stiffness))
+    factor = float(law.hysteresis_factor())
+    numbers = map(np.float64, (factor, realized_restitution(factor), mass, rate, stiffness))
+    # Laws that differ in their factor alone are one program.
+    penetrations, force = map(np.asarray, _integrated_impact(by_factor(law), *numbers))
+    touching = (penetrations >= 0) & (np.cumsum(penetrations < 0) == 0)
+    return np.append(penetrations[touching], 0.0), np.append(force[touching], 0.0)
+
+
+@cached_jit(what="a free impact")
+def _integrated_impact(
+    law: AbstractNormalLaw, factor: Scalar, restitution: Scalar, mass: Scalar, rate: Scalar, stiffness: Scalar
+):
+    """Penetrations and forces of an impact and of the time after it, shape (n,) each."""
+    deepest = maximum_penetration(mass, rate, factor, stiffness)
     # Compression takes 1.47 deepest / rate without damping; restitution takes longer by the lost speed.
-    restitution = realized_restitution(float(law.hysteresis_factor()))
     step = 2.0 * (1.0 + 1.0 / restitution) * deepest / rate / _IMPACT_STEPS
 
     def slope(y):
@@ -108,10 +123,7 @@ def _free_impact(law: ImpactLaw, mass: float, rate: float, stiffness: float) -> 
         return y + step / 6 * (k1 + 2 * k2 + 2 * k3 + k4), y
 
     _, path = jax.lax.scan(advance, jnp.array([0.0, rate]), length=_IMPACT_STEPS)
-    path = np.asarray(path)
-    touching = (path[:, 0] >= 0) & (np.cumsum(path[:, 0] < 0) == 0)
-    force = jax.vmap(lambda y: law.force(y[0], y[1], rate, stiffness))(jnp.asarray(path[touching]))
-    return np.append(path[touching, 0], 0.0), np.append(np.asarray(force), 0.0)
+    return path[:, 0], jax.vmap(lambda y: law.force(y[0], y[1], rate, stiffness))(path)
 
 
 def friction_curves(
@@ -142,7 +154,7 @@ def _draw_friction(ax: Axes, laws: Sequence[AbstractFrictionLaw], limit: float) 
     velocities = np.linspace(-limit, limit, 4001)
     styles = zip(cycle(LAW_COLORS), cycle(LAW_DASHES), strict=False)
     for law in laws:
-        coefficients = np.asarray(jax.vmap(law.coefficient)(jnp.abs(velocities))) * np.sign(velocities)
+        coefficients = np.asarray(_coefficients(law, np.abs(velocities))) * np.sign(velocities)
         if law.simulable:
             color, dashes = next(styles)
             ax.plot(1e3 * velocities, coefficients, color=color, ls=dashes, lw=1.4, label=_name(law))
@@ -151,6 +163,12 @@ def _draw_friction(ax: Axes, laws: Sequence[AbstractFrictionLaw], limit: float) 
     ax.set_xlabel("sliding velocity [mm/s]")
     ax.set_ylabel("friction force / normal force [-]")
     ax.set_xlim(-1e3 * limit, 1e3 * limit)
+
+
+@cached_jit(what="a friction law")
+def _coefficients(law: AbstractFrictionLaw, speeds: Float[Array, " n"]) -> Float[Array, " n"]:
+    """Coefficients in steady sliding."""
+    return jax.vmap(law.coefficient)(speeds)
 
 
 def hybrid_force(joint: Lubricated, *, rate: float = 1e-4) -> Figure:
@@ -183,7 +201,9 @@ def hybrid_force(joint: Lubricated, *, rate: float = 1e-4) -> Figure:
     return figure
 
 
-def _draw_hybrid(ax: Axes, joint: Lubricated, eccentricities: np.ndarray, rate: float) -> None:
+@cached_jit(what="a lubricated joint's forces")
+def _hybrid_forces(joint: Lubricated, rate: Scalar, eccentricities: Float[Array, " n"]):
+    """Film, contact and blend [N] at each of the eccentricities [m]."""
     stiffness = stiffness_of(joint.normal, joint.surfaces)
 
     def forces(e):
@@ -201,7 +221,11 @@ def _draw_hybrid(ax: Axes, joint: Lubricated, eccentricities: np.ndarray, rate: 
         weight = hybrid_weight(e, joint.clearance, joint.e_h0)
         return film, contact, (1 - weight) * film + weight * contact
 
-    film, contact, blend = (np.asarray(values) for values in jax.vmap(forces)(jnp.asarray(eccentricities)))
+    return jax.vmap(forces)(eccentricities)
+
+
+def _draw_hybrid(ax: Axes, joint: Lubricated, eccentricities: np.ndarray, rate: float) -> None:
+    film, contact, blend = map(np.asarray, _hybrid_forces(joint, np.float64(rate), eccentricities))
     x = 1e3 * eccentricities
     # By itself the film would grow beyond all bounds at e = c + e_h1, where contact has taken over long ago.
     ax.set_ylim(0.0, 1.6 * np.max(blend[eccentricities < joint.clearance + 2 * joint.e_h0]))
