@@ -19,7 +19,7 @@ import numpy as np  # noqa: E402
 import spherejax as sj  # noqa: E402
 from spherejax.model.system import compile_scene, flatten_system  # noqa: E402
 from spherejax.motion.equations.dynamics import state_rate  # noqa: E402
-from spherejax.motion.equations.programs import LARGEST_SCALAR_PROGRAM, program_for  # noqa: E402
+from spherejax.motion.equations.programs import largest_scalar_program, program_for  # noqa: E402
 from spherejax.motion.start.assembly import described_state  # noqa: E402
 
 SIZES = (2, 5, 10, 20, 50, 100)
@@ -136,8 +136,8 @@ def main() -> None:
         own = []
         for n in options.sizes:
             found = [right_hand_side(build(n), scalar) for scalar in (True, False)]
-            is_scalar = found[0]["operations"] <= LARGEST_SCALAR_PROGRAM
-            runs = simulation(build(n)) if not options.no_runs and n in (options.sizes[0], options.sizes[-1]) else {}
+            is_scalar = found[0]["operations"] <= largest_scalar_program()
+            runs = {} if options.no_runs else simulation(build(n))
             for row in found:
                 is_chosen = (row["path"] == "scalar") == is_scalar
                 measured = runs if is_chosen else {}

@@ -173,7 +173,8 @@ def _start(system):
 def test_effects_say_that_a_scene_runs_on_array_code_and_what_helps(monkeypatch):
     scene = sj.gallery.chain(3)
     assert sj.effects(scene, timed=False).note == ""
-    monkeypatch.setattr(programs, "LARGEST_SCALAR_PROGRAM", 500)
+    for limit in ("LARGEST_SCALAR_PROGRAM", "LARGEST_IN_MACHINE_CODE"):
+        monkeypatch.setattr(programs, limit, 500)
     programs.made_program.cache_clear()
     told = sj.effects(scene, timed=False)
     programs.made_program.cache_clear()

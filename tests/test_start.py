@@ -3,11 +3,14 @@
 import inspect
 import warnings
 
+import equinox as eqx
 import jax
 import numpy as np
 import pytest
 
 import spherejax as sj
+from spherejax.motion.equations.programs import program_for
+from spherejax.motion.start import assembly
 from spherejax.motion.start.start_now import start_now
 from spherejax.physics.state import unpack
 
@@ -180,3 +183,30 @@ def test_a_known_start_is_looked_at_while_other_numbers_are_traced():
 
     begun(1e-4)
     assert np.abs(np.asarray(seen[0].y)).max() == 1.0
+
+
+def test_a_start_that_is_closed_and_at_rest_is_only_looked_at(monkeypatch):
+    """Of a large mechanism each program of the assembly takes as long to make as the right-hand side."""
+    made = []
+
+    def noted(function, *others, **how):
+        made.append(function.__name__)
+        return program_for(function, *others, **how)
+
+    monkeypatch.setattr(assembly, "program_for", noted)
+    # Numbers that no other test has: what was assembled before is kept.
+    rod = sj.Body(0.1, (4e-5, 3.4e-4, 3.4e-4), (0.1234, 0.0, 0.0), points={"end": (-0.1234, 0.0, 0.0)})
+    pivot = sj.Revolute(("ground", "rod"), point=(0.0, 0.0, 0.0), axis=(0.0, 1.0, 0.0))
+    resting = sj.Scene({"rod": rod}, {"pivot": pivot})
+    start = sj.simulate(resting, np.array([0.0, 1e-3])).assembly
+    assert set(made) == {"assembly_residuals", "_described"}
+    assert start.residual_after == start.residual_before == 0
+    made.clear()
+    turning = eqx.tree_at(lambda scene: scene.bodies["rod"].angular_velocity, resting, np.array([0.3, 1.0, 0.0]))
+    with pytest.warns(sj.errors.StartWarning, match="velocities"):
+        velocity, spin = started(turning)
+    assert set(made) == {"assembly_residuals", "_described", "consistent_velocities"}
+    # The least change in the metric of masses keeps the moment of momentum about the pivot.
+    rate = 3.4e-4 / (3.4e-4 + 0.1 * 0.1234**2)
+    assert spin[0] == pytest.approx([0.0, rate, 0.0], abs=1e-12)
+    assert velocity[0] == pytest.approx([0.0, 0.0, -0.1234 * rate], abs=1e-12)

@@ -32,12 +32,21 @@ class ArrayPathWarning(UserWarning):
 SystemFunction = Callable[[System, jax.Array, Any], object]
 Sizes = int | tuple[int, ...] | None
 
-LARGEST_SCALAR_PROGRAM = 20_000
-"""Scalar operations up to which a scalar program is made without being asked for.
+LARGEST_SCALAR_PROGRAM, LARGEST_IN_MACHINE_CODE = 20_000, 40_000
+"""Scalar operations up to which a scalar program is made without being asked for: where XLA compiles it, and where it
+becomes machine code.
 
-Measured on chains and loops (`benchmarks/scaling.py`): 13,000 operations compile in 5 s and take 3 us, 28,000 in 14 s
-and 7 us, 71,000 in 144 s and 138 us, for then they do not fit in the caches of instructions; the array code of any of
-these compiles in 2 s, and takes 6, 10 and 27 us."""
+Measured on chains and loops (`benchmarks/scaling.py`). By XLA 13,000 operations compile in 5 s and take 3 us, 28,000 in
+14 s and 7 us, 71,000 in 144 s and 138 us, for then they do not fit in the caches of instructions; the array code of any
+of these compiles in 2 s, and takes 6, 10 and 27 us. In machine code first calls (processor time, with the array code's
+behind) take 8 and 13 s with 25,000 operations, 11 and 14 with 38,000, 15 and 16 with 51,000, gradients 31 and 86 s with
+25,000; runs take as long as on array code up to 38,000 operations, those of closed loops half of that, and a third more
+with 51,000."""
+
+
+def largest_scalar_program() -> int:
+    """Which of these limits holds in this process."""
+    return LARGEST_IN_MACHINE_CODE if native_code.is_available() else LARGEST_SCALAR_PROGRAM
 
 
 LARGEST_COMPUTED = 60_000
@@ -73,7 +82,7 @@ class Program:
         if use_scalars is False:
             return
         try:
-            usual = LARGEST_COMPUTED if is_computed else LARGEST_SCALAR_PROGRAM
+            usual = LARGEST_COMPUTED if is_computed else largest_scalar_program()
             limit = None if use_scalars else usual
             self.scalar = _scalar_program(function, structure, y_size, n_ahead, limit, is_computed)
         except NotScalarizable as reason:
@@ -163,7 +172,7 @@ def program_for(
         function: array code `function(system, t, y)`.
         structure: what the program is compiled for.
         use_scalars: True makes a scalar program of any size, False keeps the array code, None makes a scalar program of
-            up to `LARGEST_SCALAR_PROGRAM` operations.
+            up to `largest_scalar_program()` operations.
         y_size: length of the function's third argument, or lengths if it is a tuple; None for a flat state.
         n_ahead: number of leading arguments that `Program.ahead` is given: 1 for the parameters alone.
 
@@ -241,6 +250,6 @@ def path_of(structure: Structure, asked: bool | None = None) -> ChosenPath:
         return ChosenPath(None, "")
     return ChosenPath(
         False,
-        f"array code over bodies and joints of a kind: more than {LARGEST_SCALAR_PROGRAM} scalar operations would take "
-        "long to compile. For many runs give scalar=True: a longer first call, and runs up to nine times shorter",
+        f"array code over bodies and joints of a kind: more than {largest_scalar_program()} scalar operations would "
+        "take long to compile. For many runs give scalar=True: a longer first call, and runs up to nine times shorter",
     )

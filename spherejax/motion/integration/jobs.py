@@ -259,11 +259,13 @@ def job_of(
         tolerances: relative and absolute, where they depend on the run.
         is_native: whether its programs become machine code of their own.
     """
-    assembly, y0 = beginning(plan, theta, ts[0], start)
-    status = start_status(values_are_legal, assembly.residual_after, y0)
     rate = program_for(state_rate, plan.structure, plan.scalar)
-    with rate.native_code(is_native):  # in vectors, if it is read by machine code
+    # The start is assembled by programs as large as the rate, which XLA would compile for longer than the run. What the
+    # rate has ahead is read by machine code as vectors.
+    with rate.native_code(is_native):
+        assembly, y0 = beginning(plan, theta, ts[0], start)
         ahead = rate.ahead(theta)
+    status = start_status(values_are_legal, assembly.residual_after, y0)
     numbers = RunNumbers(Parameters(theta, ahead), None, tolerances, limits)
     return Job(numbers, y0, status == Status.SUCCEEDED, status, assembly)
 
