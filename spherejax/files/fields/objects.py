@@ -114,21 +114,39 @@ def describe(made: Any, family: type, context: Context) -> dict[str, Any]:
 
 
 def described(made: Any, context: Context) -> dict[str, Any]:
-    """The arguments of an object as a table, without those that are None."""
+    """The arguments of an object as a table, without those that are None or have their default's value."""
     fields, arguments = fields_of(type(made)), arguments_of(made)
     words = {**_numbers_of(parameters_of(type(made)), arguments), **_words_of_parts(type(made), arguments)}
     inside = context._replace(words={**context.words, **words})
     table = {name: fields[name].write(value, inside) for name, value in arguments.items()}
-    try:
-        is_same = same(called(type(made), arguments), made)
-    except (TypeError, ValueError):
-        is_same = False
-    if not is_same:
+    if not _gives_back(arguments, made):
         raise SceneError(
             f"{type(made).__name__} is not given back by its attributes; keep each argument of its constructor in an "
             "attribute of the same name"
         )
-    return table
+    return {name: table[name] for name in _without_defaults(made, arguments)}
+
+
+def _gives_back(arguments: Mapping[str, Any], made: Any) -> bool:
+    """Whether the constructor makes the same object from these arguments."""
+    try:
+        return same(called(type(made), arguments), made)
+    except (TypeError, ValueError):
+        return False
+
+
+def _without_defaults(made: Any, arguments: dict[str, Any]) -> dict[str, Any]:
+    """The arguments that a file must say, for all others come from the defaults of the constructor.
+
+    An argument is left out only if the object is the same without it: so are defaults that a factory makes or that
+    follow from other arguments. What says the units of other arguments stays, for a reader takes units from the file.
+    """
+    stays = set(_unit_givers(type(made)))
+    for name, parameter in parameters_of(type(made)).items():
+        if name in arguments and name not in stays and not is_needed(parameter):
+            fewer = {key: value for key, value in arguments.items() if key != name}
+            arguments = fewer if _gives_back(fewer, made) else arguments
+    return arguments
 
 
 def arguments_of(made: Any) -> dict[str, Any]:
@@ -169,9 +187,11 @@ def same(first: Any, second: Any) -> bool:
         return len(first) == len(second) and all(same(a, b) for a, b in zip(first, second, strict=True))
     if isinstance(first, Mapping) and isinstance(second, Mapping):
         return set(first) == set(second) and all(same(first[key], second[key]) for key in first)
-    if _is_numeric(first) and _is_numeric(second):
+    numeric = [_is_numeric(first), _is_numeric(second)]
+    if all(numeric):
         return np.array_equal(np.asarray(first), np.asarray(second), equal_nan=True)
-    return first == second
+    # An array compared with None has a truth value for each entry.
+    return not any(numeric) and first == second
 
 
 def _ball_radius(model: Dry | Lubricated) -> float:

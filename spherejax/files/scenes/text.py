@@ -10,7 +10,7 @@ from tomlkit.items import Table
 
 from spherejax.files.fields.fields import Context, Field
 from spherejax.files.fields.kinds import fields_of
-from spherejax.files.fields.objects import KIND, build, describe, described, numbers_in_units
+from spherejax.files.fields.objects import KIND, build, describe, described, numbers_in_units, same
 from spherejax.files.fields.parts import Either, PartField
 from spherejax.files.fields.quantities import Points, vector
 from spherejax.files.scenes.reading import STUDIED, SceneFile
@@ -18,13 +18,15 @@ from spherejax.files.scenes.settings import FIELDS as SETTINGS
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.units.units import PURE
 from spherejax.model.drift import AbstractDriftControl
+from spherejax.model.scene import Scene
 from spherejax.physics.forces.base import AbstractForce
 from spherejax.physics.joints.joint import AbstractJoint
 
 HEAD = (
     'SI units; a text with another unit is checked and converted, e.g. "0.1 mm". World axes for positions at the',
     "start, velocities, and points and axes of joints; body axes, from the center of mass, for points and inertia of",
-    "bodies. Quaternions: scalar first.",
+    "bodies. Quaternions: scalar first. What is left out has its default: gravity is [0, 0, -9.81], joints are ideal;",
+    "`spherejax list --kinds` shows the others.",
 )
 """What a reader of the file must know."""
 
@@ -43,11 +45,13 @@ def scene_text(file: SceneFile, folder: Path) -> str:
         document.add(tomlkit.comment(line))
     if file.title:
         document.add("title", tomlkit.item(file.title))
-    document.add("gravity", _item(vector("m/s^2").write(scene.gravity, context), "m/s^2"))
+    usual = Scene(scene.bodies, scene.joints, scene.forces, ground_points=scene.ground_points)
+    if not same(scene.gravity, usual.gravity):
+        document.add("gravity", _item(vector("m/s^2").write(scene.gravity, context), "m/s^2"))
     document.add(tomlkit.nl())
-    document.add(
-        "drift", _table(_described_as("drift", scene.drift, AbstractDriftControl, context), scene.drift, context)
-    )
+    if not same(scene.drift, usual.drift):
+        drift = _described_as("drift", scene.drift, AbstractDriftControl, context)
+        document.add("drift", _part(drift, scene.drift, context))
     if scene.ground_points:
         document.add("ground_points", _points(scene.ground_points, context))
     bodies = {name: (_at(f"body {name!r}", described, body, context), body) for name, body in scene.bodies.items()}
