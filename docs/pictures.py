@@ -290,6 +290,88 @@ def tilting() -> Figure:
     return figure
 
 
+def warm_oil() -> Figure:
+    """A loaded journal whose oil stays cold, warms, or warms and is cooled; and where the balance of heat ends."""
+    radius, length, clearance, viscosity, speed, load = (
+        0.02,
+        0.02,
+        1e-4,
+        0.1,
+        300.0,
+        300.0,
+    )
+    beta, conductance, cold = 0.03, 4.0, 313.15
+    reynolds = sj.laws.ReynoldsViscosity(beta)
+    heats = {
+        "constant viscosity": None,
+        "all heat in the oil": sj.laws.OilHeat(reynolds, 5.0),
+        "4 W/K to the bodies": sj.laws.OilHeat(reynolds, 5.0, 3.0, 1.0),
+    }
+
+    def sommerfeld(eps):
+        return eps / (1 - eps**2) ** 2 * np.sqrt(16 * eps**2 + np.pi**2 * (1 - eps**2))
+
+    def at(kelvins):
+        """Ocvirk's eccentricity ratio, and the couple by which the film brakes the journal."""
+        nu = viscosity * np.exp(-beta * (kelvins - cold))
+        scale = nu * speed * radius * length**3 / (4 * clearance**2)
+        eps = brentq(lambda eps: scale * sommerfeld(eps) - load, 1e-6, 0.999)
+        side = np.sin(np.arctan2(np.pi * np.sqrt(1 - eps**2), 4 * eps))
+        petroff = 2 * np.pi * nu * speed * length * radius**3 / clearance
+        return eps, petroff / np.sqrt(1 - eps**2) + clearance * eps * load * side / 2
+
+    def excess(kelvins):
+        return speed * at(kelvins)[1] - conductance * (kelvins - cold)
+
+    steady = brentq(excess, cold, 400.0)
+    ts = np.linspace(0.0, 8.0, 401)
+    figure, panels = plt.subplots(1, 3, figsize=(9.2, 3.0), layout="constrained")
+    for (name, heat), color in zip(heats.items(), LINES[1:4], strict=True):
+        model = sj.Lubricated(
+            clearance,
+            viscosity,
+            socket_radius=radius,
+            film=sj.laws.ShortBearing(length),
+            conformity=sj.laws.JohnsonCylinder(length),
+            heat=heat,
+            e_h0=0.0,
+            e_h1=0.0,
+        )
+        shaft = sj.Body(1.0, (1e-4, 1e-4, 1e-4), angular_velocity=(0, 0, speed))
+        motor = sj.RotationDriver(
+            ("ground", "shaft"), (0, 0, 1), sj.functions.Linear(speed)
+        )
+        bearing = sj.Revolute(("ground", "shaft"), (0, 0, 0), (0, 0, 1), model)
+        scene = sj.Scene(
+            {"shaft": shaft},
+            {"bearing": bearing, "motor": motor},
+            gravity=(0, -load, 0),
+        )
+        run = sj.simulate(scene, ts, rtol=1e-6)
+        warm = (
+            np.full(ts.shape, cold)
+            if heat is None
+            else np.asarray(run.part("bearing", "oil_temperature"))
+        )
+        e = np.linalg.norm(np.asarray(run.eccentricity("bearing")), axis=1) / clearance
+        couple = -np.asarray(run.part("bearing", "film_moment"))[:, 2]
+        for panel, values in zip(panels, (warm - 273.15, couple, e), strict=True):
+            panel.plot(ts[1:], values[1:], color=color, linewidth=1.2, label=name)
+    eps, couple = at(steady)
+    for panel, value in zip(panels, (steady - 273.15, couple, eps), strict=True):
+        panel.axhline(value, color="black", linewidth=0.8, dashes=(4, 3))
+        panel.set(xlabel="t [s]", xlim=(0, ts[-1]))
+    panels[0].set_ylabel("temperature of the oil [°C]")
+    panels[1].set_ylabel("couple of the film [N m]")
+    panels[1].set_ylim(bottom=0)
+    panels[2].set_ylabel("eccentricity ratio [-]")
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(
+        handles, labels, fontsize=8, frameon=False, ncols=3, loc="outside upper center"
+    )
+    return figure
+
+
 def friction() -> Figure:
     """Friction coefficients against sliding speed."""
     figure, panel = plt.subplots(figsize=(5.4, 3.4), layout="constrained")
@@ -726,6 +808,7 @@ PICTURES: dict[str, Callable[[], Figure | Image.Image]] = {
     "conformity": conformity,
     "piston": piston,
     "tilting": tilting,
+    "warm_oil": warm_oil,
     "friction": friction,
     "joint_friction": joint_friction,
     "rubber": rubber,

@@ -49,6 +49,7 @@ from .physics.laws.normal import (
     HuntCrossleyDissipation,
     LankaraniNikravesh,
 )
+from .physics.laws.oil import AbstractOilViscosity, HeatFlows, OilHeat, ReynoldsViscosity, VogelViscosity
 from .physics.laws.pressure import AbstractPressure, CosinePressure, PointContact, PreloadAlone, UniformPressure
 from .physics.laws.viscoelastic import Berg, Maxwell
 from .physics.memory import MemoryEntry
@@ -62,6 +63,7 @@ __all__ = [
     "AbstractFrictionLaw",
     "AbstractHysteresisLaw",
     "AbstractNormalLaw",
+    "AbstractOilViscosity",
     "AbstractPressure",
     "AbstractStaticFriction",
     "Ambrosio",
@@ -82,6 +84,7 @@ __all__ = [
     "Gonthier",
     "Guembel",
     "HarmonicDepth",
+    "HeatFlows",
     "Hertz",
     "HingeElastomer",
     "HuntCrossley",
@@ -94,6 +97,7 @@ __all__ = [
     "MatrixElastomer",
     "Maxwell",
     "MemoryEntry",
+    "OilHeat",
     "PinkusSternlicht",
     "PointContact",
     "PreloadAlone",
@@ -101,6 +105,7 @@ __all__ = [
     "RadialElastomer",
     "RadialFilm",
     "Requirement",
+    "ReynoldsViscosity",
     "ShearFactors",
     "ShortBearing",
     "Sommerfeld",
@@ -108,6 +113,7 @@ __all__ = [
     "Threlfall",
     "UniformPressure",
     "VectorElastomer",
+    "VogelViscosity",
     "WinklerLiner",
     "exact_hysteresis_factor",
     "film_force",

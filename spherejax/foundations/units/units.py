@@ -29,9 +29,16 @@ NAMES = {
     "N s/m": "a damping", "N m/rad": "a rotational stiffness", "N m s/rad": "a rotational damping",
     "kg m^2": "a moment of inertia", "Pa": "a pressure", "Pa s": "a viscosity", "1/s": "a rate",
     "1/m": "a number per length", "s/m": "a number per velocity", "rad/s^2": "an angular acceleration",
+    "K": "a temperature", "1/K": "a number per kelvin", "J/K": "a heat capacity", "W/K": "a thermal conductance",
     "N/(m s)": "an integral gain", "N m/(rad s)": "an integral gain of an angle",
 }  # fmt: skip
 """What units measure, for messages."""
+
+CELSIUS = ("degC", "°C")
+"""The one unit with a zero of its own that is read, where a number in kelvins alone is expected."""
+
+ICE_POINT = 273.15
+"""0 degC [K]."""
 
 LONGEST = 100
 """Characters of a number with its unit; more is a slip."""
@@ -71,7 +78,7 @@ def in_si(text: str, unit: str | None) -> float:
 
     Args:
         text: a number with a unit: digits, a point for decimals, `e` for powers of ten; then names of units, with `/`,
-            powers like `m^2`, and a gap or `*` for products. Nothing else is read.
+            powers like `m^2`, and a gap or `*` for products. Nothing else is read, but `"40 degC"` for a temperature.
         unit: the SI unit that is expected, e.g. `"N/m"`; None takes any dimension.
 
     Raises:
@@ -88,6 +95,8 @@ def in_si(text: str, unit: str | None) -> float:
         number = representable(parts[0], text)
     except NumberError as error:
         raise UnitError(str(error)) from None
+    if unit == "K" and parts[1] in CELSIUS:
+        return number + ICE_POINT
     try:
         return _converted(number, parts[1], unit, text)
     except _NoUnitError as error:

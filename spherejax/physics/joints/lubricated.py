@@ -14,7 +14,7 @@ from spherejax.foundations.forms import is_numeric
 from spherejax.foundations.legal import at_least, non_negative, positive
 from spherejax.foundations.numerics import safe_norm
 from spherejax.foundations.types import Number, Scalar, Unit
-from spherejax.physics.joints.base import Medium, Response
+from spherejax.physics.joints.base import Effect, Medium, Response
 from spherejax.physics.joints.clearance import AbstractClearanceModel, clearance_from
 from spherejax.physics.joints.contact import (
     contact_effects,
@@ -31,6 +31,7 @@ from spherejax.physics.laws.films import AbstractFilm, FilmAction, FilmGap, Film
 from spherejax.physics.laws.friction import AbstractFrictionLaw
 from spherejax.physics.laws.material import Material
 from spherejax.physics.laws.normal import AbstractNormalLaw, HuntCrossleyDissipation
+from spherejax.physics.laws.oil import OilHeat
 from spherejax.physics.memory import MemoryEntry
 
 WIDTH_SHARE, OFFSET_SHARE = 0.01, 0.02
@@ -99,6 +100,8 @@ class Lubricated(AbstractClearanceModel):
         ball_material: material of the ball.
         conformity: how surfaces that nearly fit press back, in place of Hertz's law (`SphericalProfile`,
             `WinklerLiner`); None for that.
+        heat: what warms and cools the oil, whose viscosity then falls with its temperature; None for a constant
+            viscosity.
 
     Args:
         ball_radius: R_j, instead of the clearance [m].
@@ -123,6 +126,7 @@ class Lubricated(AbstractClearanceModel):
     socket_material: Material
     ball_material: Material
     conformity: AbstractConformity | None
+    heat: OilHeat | None
     _ball_radius_given: bool = eqx.field(static=True)
 
     def __init__(
@@ -141,6 +145,7 @@ class Lubricated(AbstractClearanceModel):
         socket_material: Material | None = None,
         ball_material: Material | None = None,
         conformity: AbstractConformity | None = None,
+        heat: OilHeat | None = None,
     ):
         self.clearance = clearance_from(clearance, socket_radius, ball_radius)
         self.socket_radius = socket_radius
@@ -156,13 +161,18 @@ class Lubricated(AbstractClearanceModel):
         self.socket_material = Material() if socket_material is None else socket_material
         self.ball_material = Material() if ball_material is None else ball_material
         self.conformity = conformity
+        self.heat = heat
         self._ball_radius_given = ball_radius is not None
 
     @property
     def effects(self):
-        """Elastic contact, then what the normal law adds to it, then friction."""
+        """Elastic contact, then what the normal law adds to it, then friction, then the warmth of the oil."""
         film = {RadialFilm: "radial film", FullFilm: "full film"}.get(type(self.film), type(self.film).__name__)
-        return contact_effects(self, f"{film} ({type(self.boundary).__name__}) and elastic contact")
+        cold = eqx.tree_at(lambda m: m.heat, self, None, is_leaf=lambda leaf: leaf is None)
+        effects = contact_effects(cold, f"{film} ({type(self.boundary).__name__}) and elastic contact")
+        if self.heat is None:
+            return effects
+        return (*effects, Effect(f"warm oil ({type(self.heat.viscosity).__name__})", self))
 
     def requirements(self) -> list[Requirement]:
         """Legal geometry, lubricant, materials and laws."""
@@ -174,6 +184,7 @@ class Lubricated(AbstractClearanceModel):
             *self.boundary.requirements(),
             *self.film.requirements(),
             *contact_law_requirements(self.normal, self.friction, self.conformity),
+            *([] if self.heat is None else (r._replace(field=f"heat.{r.field}") for r in self.heat.requirements())),
         ]
 
     def requirements_of(self, *, is_bearing: bool) -> list[Requirement]:
@@ -193,8 +204,9 @@ class Lubricated(AbstractClearanceModel):
 
     @property
     def memory(self) -> tuple[MemoryEntry, ...]:
-        """That of the contact, and what the film remembers."""
-        return (*super().memory, *(entry._replace(lasts=True) for entry in self.film.memory))
+        """That of the contact, what the film remembers, and the warmth of the oil."""
+        film = (entry._replace(lasts=True) for entry in self.film.memory)
+        return (*super().memory, *film, *(() if self.heat is None else self.heat.memory))
 
     @property
     def offset_ratio(self) -> Scalar:
@@ -211,7 +223,7 @@ class Lubricated(AbstractClearanceModel):
         surfaces = self.surfaces
         weight = hybrid_weight(safe_norm(motion.eccentricity), self.clearance, self.e_h0)
         contact = contact_forces(motion, memory, surfaces, self.normal, self.friction, weight)
-        film = self.film.action(self._film_motion(motion, memory), self._film_gap)
+        film = self.film.action(self._film_motion(motion, memory), self._film_gap(memory))
         share = 1 - weight
         ball_moment, socket_moment = contact_moments(motion, surfaces, contact.friction, contact.normal_force)
         penetration = self.penetration(motion)
@@ -219,7 +231,9 @@ class Lubricated(AbstractClearanceModel):
             force=share * film.force + contact.force,
             ball_moment=share * film.ball_moment + ball_moment,
             socket_moment=share * film.socket_moment + socket_moment,
-            memory_rate=jnp.concatenate([jnp.zeros(1), contact.bristle_rate, *_rates_of(film)]),
+            memory_rate=jnp.concatenate(
+                [jnp.zeros(1), contact.bristle_rate, *_rates_of(film), *self._warming_rate(film, share, memory)]
+            ),
             elastic_energy=self._elastic_energy(penetration) + contact.bristle_energy,
             parts={
                 "penetration": penetration,
@@ -231,6 +245,7 @@ class Lubricated(AbstractClearanceModel):
                 "shear_power": share * film.shear_power,
                 "film_thickness": -penetration,
                 "sliding_velocity": contact.sliding_velocity,
+                **self._heat_parts(memory),
             },
         )
 
@@ -242,7 +257,7 @@ class Lubricated(AbstractClearanceModel):
 
     def observed(self, motion, memory):
         """Largest pressure of the film's share [Pa], and the unit vector from the socket's center to its place."""
-        peak = self.film.pressure_peak(self._film_motion(motion, memory), self._film_gap)
+        peak = self.film.pressure_peak(self._film_motion(motion, memory), self._film_gap(memory))
         if peak is None:
             return {}
         weight = hybrid_weight(safe_norm(motion.eccentricity), self.clearance, self.e_h0)
@@ -255,12 +270,34 @@ class Lubricated(AbstractClearanceModel):
             motion.socket_angular_velocity,
             motion.ball_angular_velocity,
             motion.socket_rotation[:, 2],
-            memory[len(super().memory) :] if self.film.memory else None,
+            memory[len(super().memory) :][: len(self.film.memory)] if self.film.memory else None,
         )
 
-    @property
-    def _film_gap(self) -> FilmGap:
-        return FilmGap(self.clearance, self.socket_radius, self.viscosity, self.e_h1, self.boundary)
+    def _film_gap(self, memory) -> FilmGap:
+        viscosity = self.viscosity
+        if self.heat is not None:
+            viscosity = viscosity * self.heat.viscosity.ratio(self.heat.temperature(memory[-1:]))
+        return FilmGap(self.clearance, self.socket_radius, viscosity, self.e_h1, self.boundary)
+
+    def _warming_rate(self, film: FilmAction, share: Scalar, memory) -> list[Float[Array, " 1"]]:
+        """Of the oil [K/s], which is the last entry of the memory; none without heat."""
+        if self.heat is None:
+            return []
+        power = share * (film.pressure_power + film.shear_power)
+        return [self.heat.rate(self.heat.temperature(memory[-1:]), power)[None]]
+
+    def _heat_parts(self, memory) -> dict[str, Array]:
+        """Temperature of the oil and where its heat goes; nothing without heat."""
+        if self.heat is None:
+            return {}
+        temperature = self.heat.temperature(memory[-1:])
+        lost = self.heat.heat_flows(temperature)
+        return {
+            "oil_temperature": temperature,
+            "heat_to_socket": lost.to_socket,
+            "heat_to_ball": lost.to_ball,
+            "heat_to_flow": lost.to_flow,
+        }
 
     def _elastic_energy(self, penetration: Scalar) -> Scalar:
         """Integral of w(delta) f(delta): the blended contact force does the work that contact gives back.
