@@ -210,6 +210,7 @@ def _reference(t_end):
     return solve_ivp(rate, (0, t_end), y0, method="DOP853", rtol=1e-9, atol=1e-13, max_step=2e-6).y[:, -1]
 
 
+@pytest.mark.slow
 def test_a_motion_is_that_of_scipy_with_forces_by_differences_of_the_energy():
     t_end = 6e-4
     model = dry(normal=sj.Hertz(stiffness=5e10), **depths())

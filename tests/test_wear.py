@@ -20,7 +20,7 @@ from spherejax.physics.laws.wear import (
     matched_stiffness,
     surface_sliding,
 )
-from spherejax.studies.wear import contacts, cycles, study
+from spherejax.studies.wear import contacts, cycles, rubbing, study
 from spherejax.studies.wear.cycles import Rate, over_cycles
 from spherejax.studies.wear.deposit import Joint, Maps, rubbed
 from spherejax.studies.wear.sphere import cell_solid_angle, cell_width, centers, corners, sampled
@@ -518,6 +518,6 @@ def test_what_is_known_poorly_is_said(rolling, monkeypatch):
     monkeypatch.setattr(study, "POORLY_INTEGRATED", 0.0)
     with pytest.warns(sj.errors.WearWarning, match="simulate with a smaller rtol"):
         sj.wear(rolling, "joint", **GOOD, cells=96)
-    monkeypatch.setattr(study, "LOST", -1.0)
+    monkeypatch.setattr(rubbing, "LOST", -1.0)
     with pytest.raises(sj.SimulationError, match="not conserved"):
         sj.wear(rolling, "joint", **GOOD, cells=96)

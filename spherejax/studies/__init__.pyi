@@ -27,7 +27,7 @@ from .stiffness import EndCompliance, end_compliance
 from .subject import Comparison, ModelRow
 from .sweep import Grid, Sensitivity, Tolerance, open_sweep, product, random_samples, sobol_samples, zipped
 from .uncertainty import Scatter, SobolIndices, ToleranceBudget, monte_carlo, sobol_indices, tolerance_budget
-from .wear import Wear
+from .wear import Wear, WearBlock, WearIn, wear_in
 
 __all__ = [
     "SOLVERS",
@@ -68,6 +68,8 @@ __all__ = [
     "Tolerance",
     "ToleranceBudget",
     "Wear",
+    "WearBlock",
+    "WearIn",
     "Whole",
     "WorkPrecision",
     "compare_models",
@@ -91,6 +93,7 @@ __all__ = [
     "steady_cycle",
     "swept_sine",
     "tolerance_budget",
+    "wear_in",
     "work_precision",
     "zipped",
 ]

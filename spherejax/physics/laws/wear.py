@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from spherejax.foundations.types import Number, Numeric, Scalar
@@ -31,12 +32,13 @@ class WearContact(NamedTuple):
     """One contact at one instant, in the axes of the socket's body; of many contacts with a leading axis.
 
     Attributes:
-        force: normal force [N], positive.
+        force: normal force along n [N], positive.
         direction: n, unit vector from the socket's center to the contact, shape (3,).
         velocity: e_dot - w_j x e, of the ball's material at the socket's center [m/s].
         spin: w_j - w_i, of the ball against the socket [rad/s].
         turned: axes of the ball's body as columns, in those of the socket's, shape (3, 3).
         stiffness: k_w of the foundation [N/m^3].
+        across: force across n over that along it, as the run has it on surfaces that are not round, shape (3,).
     """
 
     force: Numeric
@@ -45,6 +47,7 @@ class WearContact(NamedTuple):
     spin: Numeric
     turned: Numeric
     stiffness: Numeric
+    across: Numeric = np.zeros(3)
 
 
 def foundation_force(depth: Number, clearance: Number, radius: Number, stiffness: Number) -> Numeric:

@@ -20,7 +20,7 @@ from spherejax.model.system import System
 from spherejax.motion.equations.body_motions import body_motions
 from spherejax.motion.equations.loads import joint_loads
 from spherejax.motion.results.steps import SHARE_WEIGHTS, SHARES, Steps, seen_at
-from spherejax.physics.joints.contact import direction_of
+from spherejax.physics.joints.contact import direction_of, surface_contact
 from spherejax.physics.laws.wear import WearContact, foundation_depth, matched_stiffness
 from spherejax.physics.state import unpack
 from spherejax.studies.wear.gathering import gathered, middle_sliding, power
@@ -59,6 +59,7 @@ class _Seen(NamedTuple):
     spin: Numeric
     turned: Numeric
     travel: Numeric
+    across: Numeric
 
 
 class ContactInstants(NamedTuple):
@@ -74,6 +75,7 @@ class ContactInstants(NamedTuple):
         looked_at: how many instants of contact there were, before alike ones were gathered.
         error: of the rubbing work by the integration over time, as a share; an estimate that is rather too large.
         span: beginning and end of what was looked at [s].
+        impulse: integral of the normal force, of all instants [N s]; durations of gathered ones are those of work.
     """
 
     contact: WearContact
@@ -85,6 +87,7 @@ class ContactInstants(NamedTuple):
     looked_at: int
     error: float
     span: tuple[float, float]
+    impulse: float = 0.0
 
 
 @lru_cache(maxsize=64)
@@ -102,14 +105,20 @@ def _seen_of(joint: str):
         e, n = motion.eccentricity, direction_of(motion.eccentricity)
         n_rate = (motion.eccentricity_rate - (motion.eccentricity_rate @ n) * n) / jnp.maximum(safe_norm(e), 1e-300)
         over = [n_rate - jnp.cross(w, n) for w in (motion.socket_angular_velocity, motion.ball_angular_velocity)]
+        force, across = parts["normal_force"], jnp.zeros(3)
+        if not model.surfaces.are_round:
+            normal = surface_contact(motion, model.surfaces).normal
+            along = normal @ n
+            force, across = force * along, socket.T @ (normal / jnp.where(along > 0, along, 1.0) - n)
         return _Seen(
-            parts["normal_force"],
+            force,
             model.penetration(motion),
             socket.T @ n,
             socket.T @ (motion.eccentricity_rate - jnp.cross(motion.ball_angular_velocity, e)),
             socket.T @ (motion.ball_angular_velocity - motion.socket_angular_velocity),
             socket.T @ ball,
             jnp.maximum(safe_norm(over[0]), safe_norm(over[1])),
+            across,
         )
 
     return see
@@ -122,6 +131,7 @@ def contacts_of(
     window: tuple[float, float] | None,
     scalar: bool | None,
     foundation: float | None,
+    ball_counts: bool = True,
 ) -> ContactInstants:
     """The contacts of a joint.
 
@@ -132,6 +142,7 @@ def contacts_of(
         window: first and last instant [s]; None for the whole run.
         scalar: whether the run was on scalar programs.
         foundation: its stiffness [N/m^3]; None: as stiff as makes each patch as wide as Hertz's.
+        ball_counts: whether it matters where on the ball a patch lies.
 
     Raises:
         SceneError: for a patch that travels too far in one step.
@@ -165,7 +176,7 @@ def contacts_of(
         starts = begins[own][chosen, None] + lengths * np.arange(n)
         cut = _weights_within(starts.ravel(), lengths.ravel(), window).reshape(len(chosen), -1)
         pieces.append((chosen, seen, cut))
-    return _gathered(system, joint, pieces, rough, missed, window, foundation)
+    return _gathered(system, joint, pieces, (rough, missed), window, foundation, ball_counts)
 
 
 def _look(system: System, see, ts: np.ndarray, ys: np.ndarray, scalar: bool | None) -> _Seen:
@@ -236,7 +247,7 @@ def _power(system: System, joint: str, seen: _Seen, foundation: float | None) ->
 
 
 def _as_contact(seen: _Seen, stiffness) -> WearContact:
-    return WearContact(seen.force, seen.direction, seen.velocity, seen.spin, seen.turned, stiffness)
+    return WearContact(seen.force, seen.direction, seen.velocity, seen.spin, seen.turned, stiffness, seen.across)
 
 
 def _missed(steps: Steps, own: np.ndarray, rubbing: np.ndarray, see) -> np.ndarray:
@@ -248,8 +259,9 @@ def _missed(steps: Steps, own: np.ndarray, rubbing: np.ndarray, see) -> np.ndarr
     return np.abs(steps.lengths[own] * (coarse - rubbing @ np.asarray(SHARE_WEIGHTS)))
 
 
-def _gathered(system: System, joint: str, pieces, rough, missed, window, foundation) -> ContactInstants:
+def _gathered(system: System, joint: str, pieces, told, window, foundation, ball_counts) -> ContactInstants:
     """One row for each instant at which ball and socket press on each other."""
+    rough, missed = told
     fine = np.zeros(len(rough))
     columns, stiffnesses, half_angles, durations = [], [], [], []
     for chosen, seen, weights in pieces:
@@ -271,6 +283,7 @@ def _gathered(system: System, joint: str, pieces, rough, missed, window, foundat
     error = float(missed.sum()) / scale if scale > 0 else 0.0
     angles = np.concatenate(half_angles)
     expected = float(power(contact, angles, radius) @ duration)
-    rows = gathered(contact, angles, duration, radius)
-    coarser, _, lasting = gathered(contact, angles, duration, radius, COARSER)
-    return ContactInstants(*rows, (coarser, lasting), float(slid), expected, len(duration), error, window)
+    rows = gathered(contact, angles, duration, radius, 1.0, ball_counts)
+    coarser, _, lasting = gathered(contact, angles, duration, radius, COARSER, ball_counts)
+    impulse = float(all_seen.force @ duration)
+    return ContactInstants(*rows, (coarser, lasting), float(slid), expected, len(duration), error, window, impulse)

@@ -33,11 +33,13 @@ class Rate(NamedTuple):
         approach: by how much farther than in the unworn joint the ball goes for the same load, the mean over the
             rubbing work [m].
         aside: resultant across the contact's direction over the force, the mean over the rubbing work.
+        volume: k times the rubbing work, of socket and ball [m^3]; by itself, not by adding up the maps.
     """
 
     depth: Maps
     approach: float
     aside: float
+    volume: tuple[float, float] = (0.0, 0.0)
 
 
 class Worn(NamedTuple):
@@ -47,11 +49,13 @@ class Worn(NamedTuple):
         cycles: N.
         depth: of both maps [m].
         rate: of a cycle from here.
+        volume: rubbed off since the start, of socket and ball, added up beside the maps [m^3].
     """
 
     cycles: float
     depth: Maps
     rate: Rate
+    volume: tuple[float, float] = (0.0, 0.0)
 
 
 def over_cycles(
@@ -84,7 +88,11 @@ def over_cycles(
             continue
         depth = _moved(_moved(here.depth, block / 2, here.rate.depth), block / 2, tried.depth)
         at = cycles if block == left else here.cycles + block
-        here = Worn(at, depth, rate(depth))
+        socket, ball = (
+            v + block / 2 * (first + last)
+            for v, first, last in zip(here.volume, here.rate.volume, tried.volume, strict=True)
+        )
+        here = Worn(at, depth, rate(depth), (socket, ball))
         found.append(here)
         block *= min(2.0, 0.8 * LARGEST_CHANGE / max(change, 1e-3))
     return found, ""

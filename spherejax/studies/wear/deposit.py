@@ -36,6 +36,9 @@ HEMISPHERE = 0.98
 AT_ONCE = 32
 """Contacts in one go: enough to keep the processor busy, few enough for its memory."""
 
+FEW = 4
+"""Up to so many contacts go as so many: a ball that turns under a constant load has one."""
+
 
 class Maps(NamedTuple):
     """Two maps, flat, shape (n n): the socket's and the ball's, each in the axes of its body."""
@@ -58,7 +61,8 @@ class Told(NamedTuple):
         power: integral of p |v_s| dA over the patch [W].
         approach: s - c, how far beyond the clearance the ball's center has come to carry the force [m].
         balance: resultant along n over the force, less 1.
-        aside: resultant across n over the force: on worn surfaces it is not balanced.
+        aside: by how much the resultant across n differs from that of the run, over the force: on worn surfaces it is
+            not balanced.
         radius: root mean square angle of the pressure from the contact's direction, times sqrt 2 [rad].
     """
 
@@ -83,7 +87,7 @@ def rubbed(wear: Maps, contacts: WearContact, durations: np.ndarray, joint: Join
         The work in each cell of both maps, and what is told of each contact.
     """
     m = len(durations)
-    is_worn = any(bool(jnp.any(each > 0)) for each in wear)
+    is_worn = any(bool(jnp.any(each != 0)) for each in wear)
     rises = np.asarray(_edges(n, is_worn, wear, _padded(contacts, durations)[0], joint))[:m]
     widths = np.arccos(1 - rises)
     enough = np.searchsorted(RINGS, RINGS_PER_CELL * widths / cell_width(n))
@@ -102,7 +106,7 @@ def rubbed(wear: Maps, contacts: WearContact, durations: np.ndarray, joint: Join
 def _padded(contacts: WearContact, durations: np.ndarray) -> tuple[WearContact, np.ndarray]:
     """To as many as a power of two, for few different programs; what is added lasts no time."""
     m = len(durations)
-    more = max(AT_ONCE, 1 << int(np.ceil(np.log2(m)))) - m
+    more = max(FEW if m <= FEW else AT_ONCE, 1 << int(np.ceil(np.log2(m)))) - m
     last = np.minimum(np.arange(m + more), m - 1)
     return jax.tree.map(lambda x: jnp.asarray(np.asarray(x)[last]), contacts), np.pad(durations, (0, more))
 
@@ -155,12 +159,15 @@ def _gap(n: int, wear: Maps, points: _Points, contact: WearContact, joint: Joint
     return joint.clearance * points.fall + sampled(wear.socket, points.u, n) + sampled(wear.ball, on_ball, n)
 
 
-def _edge(n: int, passes: int, wear: Maps, deepest: Scalar, contact: WearContact, joint: Joint) -> Scalar:
+def _edge(
+    n: int, passes: int, wear: Maps, extremes: tuple[Scalar, Scalar], contact: WearContact, joint: Joint
+) -> Scalar:
     """1 - cos of the angle at which the patch ends; on worn surfaces, of one that contains it."""
-    # No closer can the ball be than where the deepest wear is everywhere.
+    # No closer can the ball be than where the deepest wear is everywhere, and nowhere is less worn than the least.
+    least, deepest = extremes
     gap = joint.clearance + deepest
     depth = foundation_depth(contact.force, gap, joint.radius, contact.stiffness)
-    rise = jnp.minimum((deepest + depth) / (gap + depth), HEMISPHERE)
+    rise = jnp.minimum((deepest - least + depth) / (gap + depth), HEMISPHERE)
     rho = np.concatenate([(np.polynomial.legendre.leggauss(SEARCH_RINGS)[0] + 1) / 2, [1.0]])
     for _ in range(passes):
         points = _points(contact.direction, rise, SEARCH_RINGS)
@@ -181,7 +188,7 @@ def _rubbing(n: int, rings: int, wear: Maps, contact: WearContact, rise: Scalar,
     speed = jax.vmap(safe_norm)(surface_sliding(points.u, contact, joint.radius))
     resultant = load @ points.u
     along = resultant @ contact.direction
-    aside = safe_norm(resultant - along * contact.direction)
+    aside = safe_norm(resultant - along * contact.direction - contact.force * contact.across)
     square = jnp.sum(load * points.fall * (1 + points.x)) / jnp.sum(load)
     told = Told(load @ speed, s, along / contact.force - 1, aside / contact.force, jnp.sqrt(2 * square))
     return load * speed, corners(points.u, n), corners(points.u @ contact.turned, n), told
@@ -192,9 +199,9 @@ def _rubbing(n: int, rings: int, wear: Maps, contact: WearContact, rise: Scalar,
 
 @cached_jit(what="the edges of patches")
 def _edges(n: int, is_worn: bool, wear: Maps, contacts: WearContact, joint: Joint):
-    deepest = jnp.max(wear.socket) + jnp.max(wear.ball)
+    extremes = jnp.min(wear.socket) + jnp.min(wear.ball), jnp.max(wear.socket) + jnp.max(wear.ball)
     passes = SEARCH_PASSES if is_worn else 0
-    return jax.lax.map(lambda one: _edge(n, passes, wear, deepest, one, joint), contacts, batch_size=AT_ONCE)
+    return jax.lax.map(lambda one: _edge(n, passes, wear, extremes, one, joint), contacts, batch_size=AT_ONCE)
 
 
 @cached_jit(what="the wear of a run")
@@ -209,6 +216,7 @@ def _shared_out(n: int, rings: int, work: Maps, wear: Maps, contacts: WearContac
 
         return Maps(added(work.socket, *on_socket), added(work.ball, *on_ball)), told
 
-    chunked = jax.tree.map(lambda x: x.reshape(-1, AT_ONCE, *x.shape[1:]), (contacts, durations, rises))
+    at_once = min(AT_ONCE, len(durations))
+    chunked = jax.tree.map(lambda x: x.reshape(-1, at_once, *x.shape[1:]), (contacts, durations, rises))
     work, told = jax.lax.scan(some, work, chunked)
     return work, jax.tree.map(lambda x: x.reshape(-1), told)

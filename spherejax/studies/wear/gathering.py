@@ -16,6 +16,9 @@ PLACE = 0.125
 TWIST = 0.25
 """Side of a bin of the entries of the rotation matrix: how far a patch may turn about its middle [rad]."""
 
+WAY = 0.5
+"""Side of a bin of the entries of t t^T, t the direction of sliding, where the place on the ball does not count."""
+
 FORCE = 1.15
 """Ratio of the largest to the smallest force of a bin; the width of a Hertzian patch differs by 5 %."""
 
@@ -47,6 +50,7 @@ def gathered(
     duration: Float[np.ndarray, " m"],
     radius: float,
     times: float = 1.0,
+    ball_counts: bool = True,
 ) -> tuple[WearContact, np.ndarray, np.ndarray]:
     """Contacts, half angles and durations with one row for alike ones.
 
@@ -56,6 +60,8 @@ def gathered(
         duration: [s].
         radius: R of the socket [m].
         times: how much wider than usual the bins are.
+        ball_counts: whether it matters where on the ball a patch lies: not on a round one that does not wear. A ball
+            that turns under a load then has one patch, and not one for each place on its way around.
     """
     work = power(contact, half_angle, radius) * duration
     own = np.flatnonzero(work > 0)
@@ -65,8 +71,14 @@ def gathered(
     # All of one level of force have bins of one size, whatever the few percent by which their patches differ.
     size = times * PLACE * FORCE ** np.floor(np.log(half_angle[own]) / np.log(FORCE))
     n, turned = np.asarray(contact.direction)[own], np.asarray(contact.turned)[own]
-    place = np.concatenate([n, np.einsum("mij,mi->mj", turned, n)], axis=1) / size[:, None]
-    twist = turned.reshape(own.size, 9) / (times * TWIST)
+    if ball_counts:
+        place = np.concatenate([n, np.einsum("mij,mi->mj", turned, n)], axis=1) / size[:, None]
+        twist = turned.reshape(own.size, 9) / (times * TWIST)
+    else:
+        place = n / size[:, None]
+        v = middle_sliding(WearContact(*(np.asarray(x)[own] for x in contact)), radius)
+        t = v / np.maximum(np.linalg.norm(v, axis=1, keepdims=True), np.finfo(float).tiny)
+        twist = np.einsum("mi,mj->mij", t, t).reshape(own.size, 9) / (times * WAY)
     key = np.concatenate(
         [np.floor(force)[:, None], np.log(size)[:, None].round(6), np.floor(place), np.floor(twist)], axis=1
     )

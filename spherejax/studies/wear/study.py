@@ -9,11 +9,11 @@ import numpy as np
 from spherejax.foundations.checks import enforce, is_concrete
 from spherejax.foundations.errors import SceneError, one_of
 from spherejax.foundations.legal import non_negative, positive
-from spherejax.motion.integration.status import SimulationError
 from spherejax.motion.results.trajectory import Trajectory
-from spherejax.studies.wear.contacts import CREEPING, ContactInstants, contacts_of
-from spherejax.studies.wear.cycles import Rate, over_cycles
-from spherejax.studies.wear.deposit import Joint, Maps, Told, rubbed
+from spherejax.studies.wear.contacts import ContactInstants, contacts_of
+from spherejax.studies.wear.cycles import Worn, over_cycles
+from spherejax.studies.wear.deposit import Maps, rubbed
+from spherejax.studies.wear.rubbing import RubbingCycle, conserved, cycle_of, no_wear, require_expected, shape_of
 from spherejax.studies.wear.sphere import cell_solid_angle
 from spherejax.studies.wear.wear_result import Checks, Wear, WearWarning
 
@@ -25,16 +25,6 @@ USUAL_CELLS = (96, 512)
 
 POSSIBLE_CELLS = (16, 2048)
 """Fewer tell nothing, more take gigabytes."""
-
-LOST = 1e-9
-"""What may be missing of the rubbing work on a map, as a share of it: rounding of sums."""
-
-UNBALANCED = 1e-6
-"""What the pressure's resultant along the contact's direction may differ from the normal force by, as a share."""
-
-NARROWEST, WIDEST = 0.8, 1.6
-"""Rubbing work of patches over that of their resultants: 1 for small patches, 3/2 for a hemisphere pressed along its
-axis, less than 1 where it is rubbed across."""
 
 POORLY_INTEGRATED = 0.01
 """Error of the rubbing work by the integration over time, as a share, from which it is warned."""
@@ -95,42 +85,24 @@ def wear(
         SimulationError: where a check of conservation fails.
 
     Limits: the order of c/R is left out. Along the contact's direction the pressure carries the run's normal force;
-    what is left across it on worn surfaces is told, not balanced. Force, direction and sliding are those of the unworn
-    joint for all cycles: once the wear is as deep as a good part of the clearance, simulate again with
-    `effective_clearance`. Rubbed off material is gone. The numbers are concrete ones, and the result is not traced: for
+    what is left across it on worn surfaces is told, not balanced. Force, direction and sliding are those of the run for
+    all cycles: once the wear is as deep as a good part of the clearance, take `sj.studies.wear_in`, or simulate again
+    with `effective_clearance`. Rubbed off material is gone. The numbers are concrete, and the result is not traced: for
     derivatives by k take differences, one run serves all of them.
 
     Source: Archard (1953); blocks of cycles after Mukras et al. (2009), see `spherejax.studies.wear.cycles`.
     """
-    model = _contact_model(run, joint)
-    _check_numbers(joint, k_socket, k_ball, cycles, foundation, cells, largest_block)
-    window = _checked_window(run, window)
-    steps = run._steps
-    contacts = contacts_of(run.system, steps, joint, window, run.scalar, foundation)
-    geometry = Joint(jnp.asarray(float(model.clearance)), jnp.asarray(float(model.socket_radius)))
-    n = _cells_for(contacts) if cells is None else int(cells)
-    area = float(geometry.radius) ** 2 * cell_solid_angle(n)
-    nothing = Maps(jnp.zeros(n * n), jnp.zeros(n * n))
-    if not len(contacts.duration):
-        states, diagnosis = over_cycles(lambda _: Rate(nothing, 0.0, 0.0), nothing, float(cycles), 1.0)
-        checks = Checks(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, np.inf, 0, 0)
-        return _result(run, joint, model, (k_socket, k_ball), contacts, n, states, diagnosis, checks)
-    work, first = rubbed(nothing, contacts.contact, contacts.duration, geometry, n)
-    elsewhere = _elsewhere(work, rubbed(nothing, *contacts.coarser, geometry, n)[0])
-    checks = _checks(joint, work, first, contacts, n, elsewhere)
-    coefficients = k_socket, k_ball
-
-    def rate(depth: Maps) -> Rate:
-        rubbing, told = rubbed(depth, contacts.contact, contacts.duration, geometry, n)
-        _conserved(joint, rubbing, told, contacts)
-        each = Maps(*(k / area * w for k, w in zip(coefficients, rubbing, strict=True)))
-        weights = told.power * contacts.duration
-        total = max(float(weights.sum()), np.finfo(float).tiny)
-        farther = float(weights @ (told.approach - first.approach)) / total
-        return Rate(each, farther, float(weights @ told.aside) / total)
-
-    states, diagnosis = over_cycles(rate, nothing, float(cycles), largest_block * float(model.clearance))
-    found = _result(run, joint, model, coefficients, contacts, n, states, diagnosis, checks)
+    model = contact_model(run, joint)
+    coefficients = check_numbers(joint, k_socket, k_ball, cycles, foundation, cells, largest_block)
+    window = checked_window(run, window)
+    ball_counts = ball_matters(model, k_ball)
+    contacts = contacts_of(run.system, run._steps, joint, window, run.scalar, foundation, ball_counts)
+    n = cells_for(contacts) if cells is None else int(cells)
+    cycle = cycle_of(joint, model, contacts, n, coefficients, shape_of(model, n))
+    checks = checks_of(cycle)
+    states, diagnosis = over_cycles(cycle.rate, no_wear(n), float(cycles), largest_block * float(model.clearance))
+    remarks = [*remarks_on(cycle, checks, diagnosis), *_on_the_motion(cycle, states)]
+    found = result_of(run, cycle, states, checks, diagnosis, remarks)
     for text in found.remarks:
         warnings.warn(text, WearWarning, stacklevel=2)
     return found
@@ -139,7 +111,8 @@ def wear(
 # What is asked for ----------------------------------------------------------------------------------------------------
 
 
-def _contact_model(run: Trajectory, joint: str) -> Any:
+def contact_model(run: Trajectory, joint: str) -> Any:
+    """The model of a joint that can wear, of a run that reached its end."""
     if not isinstance(run, Trajectory):
         raise SceneError(f"wear takes a run, what sj.simulate returns, and not {type(run).__name__}")
     if not is_concrete(run.ys) or np.ndim(run.ys) != 2:
@@ -153,13 +126,17 @@ def _contact_model(run: Trajectory, joint: str) -> Any:
             "Archard's law rubs off in all is k times the integral of normal_force |sliding_velocity| over time"
         )
     model: Any = run.system.spherical(joint).model
-    if not model.surfaces.are_round:
-        raise SceneError(f"joint {joint!r} has surfaces that are not round: wear of those is not known here")
     run.require_success()
     return model
 
 
-def _check_numbers(joint, k_socket, k_ball, cycles, foundation, cells, largest_block) -> None:
+def ball_matters(model: Any, k_ball: float) -> bool:
+    """Whether it matters where on the ball a patch lies: not on a round one that does not wear."""
+    return k_ball > 0 or model.surfaces.ball_depth is not None
+
+
+def check_numbers(joint, k_socket, k_ball, cycles, foundation, cells, largest_block) -> tuple[float, float]:
+    """Both wear coefficients, once all numbers are right."""
     for name, value in (("k_socket", k_socket), ("k_ball", k_ball), ("cycles", cycles), ("foundation", foundation),
                         ("largest_block", largest_block)):  # fmt: skip
         if value is None and name == "foundation":
@@ -188,9 +165,11 @@ def _check_numbers(joint, k_socket, k_ball, cycles, foundation, cells, largest_b
             f"wear of joint {joint!r}: cells = {cells!r} must be a whole number from {POSSIBLE_CELLS[0]} to "
             f"{POSSIBLE_CELLS[1]}, or None"
         )
+    return float(k_socket), float(k_ball)
 
 
-def _checked_window(run: Trajectory, window) -> tuple[float, float] | None:
+def checked_window(run: Trajectory, window) -> tuple[float, float] | None:
+    """First and last instant of a cycle within the run [s]; None for all of it."""
     if window is None:
         return None
     t0, t1 = float(run.ts[0]), float(run.ts[-1])
@@ -203,7 +182,7 @@ def _checked_window(run: Trajectory, window) -> tuple[float, float] | None:
     return first, last
 
 
-def _cells_for(contacts: ContactInstants) -> int:
+def cells_for(contacts: ContactInstants) -> int:
     """As many as give a typical patch, the mean over the load, `CELLS_PER_PATCH` from its middle to its edge."""
     if not len(contacts.duration):
         return USUAL_CELLS[0]
@@ -220,53 +199,40 @@ def _typical_half_angle(contacts: ContactInstants) -> float:
 # What is checked ------------------------------------------------------------------------------------------------------
 
 
-def _conserved(joint: str, rubbing: Maps, told: Told, contacts: ContactInstants) -> tuple[float, float]:
-    """Shares by which a map's work and the resultants of the pressure are off; raises where that is too much."""
-    total = float(told.power @ contacts.duration)
-    scale = max(total, np.finfo(float).tiny)
-    lost = max(abs(float(jnp.sum(each)) - total) / scale for each in rubbing) if total > 0 else 0.0
-    unbalanced = float(np.max(np.abs(told.balance)))
-    if not (lost <= LOST and unbalanced <= UNBALANCED):
-        raise SimulationError(
-            f"wear of joint {joint!r} is not conserved: the maps miss {lost:.1e} of the rubbing work ({LOST:.0e} is "
-            f"allowed), and the pressure's resultant differs from the normal force by {unbalanced:.1e} of it "
-            f"({UNBALANCED:.0e}). This is a fault of the program, or of numbers beyond its range; please report it"
-        )
-    return lost, unbalanced
-
-
-def _require_expected(joint: str, rubbing: float, contacts: ContactInstants) -> None:
-    """Whether those that stand for alike instants rub as much as all instants do."""
-    slow = CREEPING * float(np.asarray(contacts.contact.force) @ contacts.duration)
-    if contacts.expected > slow and not NARROWEST < rubbing / contacts.expected < WIDEST:
-        raise SimulationError(
-            f"wear of joint {joint!r}: patches that stand for alike instants rub {rubbing:.4g} J, and all instants "
-            f"{contacts.expected:.4g} J. This is a fault of the program; please report it, with the scene"
-        )
-
-
-def _elsewhere(work: Maps, other: Maps) -> float:
-    """Share of the work that lies in other cells, on the map where that is more."""
+def _elsewhere(work: Maps, other: Maps, coefficients: tuple[float, float]) -> float:
+    """Share of the work that lies in other cells, of the sides that wear on the one where that is more."""
     return max(
         float(jnp.sum(jnp.abs(one - two)) / jnp.maximum(2 * jnp.sum(one), np.finfo(float).tiny))
-        for one, two in zip(work, other, strict=True)
+        for one, two, k in zip(work, other, coefficients, strict=True)
+        if k > 0
     )
 
 
-def _checks(joint: str, work: Maps, told: Told, contacts: ContactInstants, n: int, elsewhere: float) -> Checks:
-    lost, unbalanced = _conserved(joint, work, told, contacts)
-    _require_expected(joint, float(told.power @ contacts.duration), contacts)
+def checks_of(cycle: RubbingCycle) -> Checks:
+    """What is checked of a first cycle, on surfaces that are not worn yet.
+
+    Raises:
+        SimulationError: where something is not conserved.
+    """
+    contacts, n = cycle.contacts, cycle.cells
+    if not len(contacts.duration):
+        return Checks(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, np.inf, 0, 0)
+    work, told = cycle.rubbed(no_wear(n))
+    elsewhere = _elsewhere(work, rubbed(cycle.shape, *contacts.coarser, cycle.geometry, n)[0], cycle.coefficients)
+    lost, unbalanced = conserved(cycle.joint, work, told, contacts)
+    require_expected(cycle.joint, float(told.power @ contacts.duration), contacts)
     weights = told.power * contacts.duration
     total = float(weights.sum())
     radius = float(weights @ told.radius) / total if total > 0 else float(np.mean(told.radius))
-    cells = float(radius / np.sqrt(cell_solid_angle(n)))
+    width = float(radius / np.sqrt(cell_solid_angle(n)))
     return Checks(
-        lost, unbalanced, contacts.slid, total, contacts.error, elsewhere, cells, contacts.looked_at, len(weights)
+        lost, unbalanced, contacts.slid, total, contacts.error, elsewhere, width, contacts.looked_at, len(weights)
     )
 
 
-def _result(run, joint, model, coefficients, contacts: ContactInstants, n: int, states, diagnosis: str, checks) -> Wear:
-    placed = run.system.spherical(joint)
+def remarks_on(cycle: RubbingCycle, checks: Checks, diagnosis: str) -> list[str]:
+    """What else should be known of a study, as texts."""
+    joint, contacts = cycle.joint, cycle.contacts
     remarks = []
     if diagnosis:
         remarks.append(f"wear of joint {joint!r}: {diagnosis}")
@@ -291,22 +257,32 @@ def _result(run, joint, model, coefficients, contacts: ContactInstants, n: int, 
             f"wear of joint {joint!r}: a typical patch reaches {np.degrees(typical):.3g} degrees from its middle, "
             "almost a hemisphere: the surfaces are soft for their load. Check the unit of foundation=, N/m^3"
         )
-    clearance = float(model.clearance)
+    return remarks
+
+
+def _on_the_motion(cycle: RubbingCycle, states: list[Worn]) -> list[str]:
+    """A word where the wear is deep, and the motion would be another."""
+    clearance = float(cycle.geometry.clearance)
     deepest = max(float(jnp.max(each)) for each in states[-1].depth)
-    if deepest > DEEP * clearance:
-        remarks.append(
-            f"wear of joint {joint!r}: it is {deepest:.3g} m deep, {deepest / clearance:.2g} of the clearance, and the "
-            "motion is still that of the unworn joint; simulate again with the effective clearance, "
-            f"{clearance + states[-1].rate.approach:.4g} m"
-        )
+    if deepest <= DEEP * clearance:
+        return []
+    return [
+        f"wear of joint {cycle.joint!r}: it is {deepest:.3g} m deep, {deepest / clearance:.2g} of the clearance, and "
+        "the motion is still that of the unworn joint; simulate again with the effective clearance, "
+        f"{clearance + states[-1].rate.approach:.4g} m, or let the motion follow: sj.studies.wear_in"
+    ]
+
+
+def result_of(run: Trajectory, cycle: RubbingCycle, states, checks: Checks, diagnosis: str, remarks: list[str]) -> Wear:
+    """Everything together."""
     return Wear(
-        joint=joint,
-        bodies=placed.bodies,
-        coefficients=coefficients,
-        clearance=clearance,
-        radius=float(model.socket_radius),
-        cells=n,
-        span=contacts.span,
+        joint=cycle.joint,
+        bodies=run.system.spherical(cycle.joint).bodies,
+        coefficients=cycle.coefficients,
+        clearance=float(cycle.geometry.clearance),
+        radius=float(cycle.geometry.radius),
+        cells=cycle.cells,
+        span=cycle.contacts.span,
         states=tuple(states),
         checks=checks,
         diagnosis=diagnosis,

@@ -1,0 +1,324 @@
+"""`sj.studies.wear_in`: wear over many cycles, with a motion that follows the worn surfaces.
+
+A block of dN cycles is made twice. With the contacts A of a cycle on the surfaces as they are it leads to depths h_A;
+a cycle that is simulated on those has contacts B; and the block with half of each leads to h_B:
+
+    h_A = h + dN r_A,    h_B = h + dN (r_A + r_B)/2,
+
+where the pressure follows the wear within a block as in `sj.wear`, by shorter steps. Their largest difference is the
+error of the block; a block whose error is too large is made again, shorter. This is Heun's method for the motion
+around Heun's method for the pressure.
+"""
+
+import warnings
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from spherejax.foundations.checks import enforce, is_concrete
+from spherejax.foundations.errors import SceneError, one_of
+from spherejax.foundations.forms import whole_number
+from spherejax.foundations.legal import positive
+from spherejax.model.scene import Scene
+from spherejax.motion.integration.status import SimulationError
+from spherejax.motion.results.trajectory import Trajectory
+from spherejax.motion.runs.simulate import simulate
+from spherejax.physics.joints.dry import Dry
+from spherejax.physics.laws.depth import LARGEST_DEGREE, HarmonicDepth
+from spherejax.studies.wear.contacts import contacts_of
+from spherejax.studies.wear.cycles import Rate, Worn, over_cycles
+from spherejax.studies.wear.deposit import Maps
+from spherejax.studies.wear.gap import Profiles, fitted, misfit
+from spherejax.studies.wear.rubbing import LOST, RubbingCycle, cycle_of, no_wear, shape_of
+from spherejax.studies.wear.study import (
+    ball_matters,
+    cells_for,
+    check_numbers,
+    checked_window,
+    checks_of,
+    contact_model,
+    remarks_on,
+    result_of,
+)
+from spherejax.studies.wear.wear_in_result import WearBlock, WearIn
+from spherejax.studies.wear.wear_result import WearWarning
+
+MOST_TRIES = 200
+"""Blocks that are tried, those that are made again counted."""
+
+MOST_FAILURES = 3
+"""Blocks in a row of which a run fails, each half as long as the one before."""
+
+LARGEST_SHARE = 0.25
+"""Of all cycles, of a block: so that curves along the cycles show how they bend."""
+
+SHORTEST, LONGEST = 0.2, 2.0
+"""By which factors a block may become shorter or longer than the one before."""
+
+ILL_FITTED = 0.1
+"""Misfit of the profiles, as a share of how far the ball goes for the wear, from which it is warned."""
+
+
+def wear_in(
+    scene: Scene,
+    joint: str,
+    ts: Any,
+    *,
+    k_socket: float,
+    k_ball: float,
+    cycles: float,
+    window: tuple[float, float] | None = None,
+    foundation: float | None = None,
+    cells: int | None = None,
+    degree: int = 8,
+    tolerance: float = 0.02,
+    largest_block: float = 0.05,
+    **options: Any,
+) -> WearIn:
+    """Wear of ball and socket over many cycles, by Archard's law, with a motion that follows the worn surfaces.
+
+    The cycle is simulated, its wear is extrapolated over a block of cycles, and the surfaces that it leaves are the
+    joint's gap in the next cycle that is simulated: `socket_depth` and `ball_depth` of `Dry`, as harmonics that are
+    fitted to how much farther the ball goes on the maps of depth.
+
+    Args:
+        scene: what is simulated.
+        joint: a spherical joint with a `Dry` model.
+        ts: sample times of a run [s]: from the start of the scene to the end of a cycle.
+
+    Other args:
+        k_socket, k_ball: wear coefficients of the socket's and the ball's material [m^2/N], 0 for one that does not
+            wear.
+        cycles: how many times the motion is repeated.
+        window: first and last instant of the cycle [s]; the whole run where None. Leave out how the motion settles: on
+            worn surfaces the scene starts as it is described.
+        foundation: stiffness of the surfaces [N/m^3], as for `sj.wear`; None: matched to Hertz's.
+        cells: of each map along each side, as for `sj.wear`; chosen where None.
+        degree: L of the harmonics that the motion feels: they resolve 180/L degrees.
+        tolerance: largest error of a block, as a share of the deepest wear at its end.
+        largest_block: by how much a step within a block may deepen any place, as a share of the clearance.
+        options: of `sj.simulate`.
+
+    Returns:
+        Maps, volumes, profiles and errors along the cycles, the worn scene, and its run; prints as text.
+
+    Raises:
+        SceneError: for a request that cannot be answered, before anything is computed.
+        SimulationError: where a check of conservation fails, or a run fails at the start.
+
+    Limits: those of `sj.wear` but for the motion. Profiles are smooth: the ball goes as far as on the maps on the mean,
+    and `misfit` says how far it is off. Their stiffness is that of mean radii, see `Dry`. Each cycle starts where the
+    scene does. Numbers are concrete, and the result is not traced.
+    """
+    coefficients = check_numbers(joint, k_socket, k_ball, cycles, foundation, cells, largest_block)
+    _check(scene, joint, degree, tolerance)
+    study = _WearStudy(scene, joint, ts, window, foundation, degree, coefficients[1], options)
+    run = study.run_on(None)
+    run.require_success()
+    model: Any = contact_model(run, joint)
+    contacts = study.contacts(run)
+    if not len(contacts.duration):
+        raise SceneError(f"joint {joint!r}: nothing rubs in the cycle, so nothing wears; choose another window=")
+    n = cells_for(contacts) if cells is None else int(cells)
+    cycle = cycle_of(joint, model, contacts, n, coefficients, shape_of(model, n))
+    checks = checks_of(cycle)
+    here = Worn(0.0, no_wear(n), cycle.rate(no_wear(n)))
+    states, blocks = [here], [WearBlock(None, None, 0.0, 0.0, *_of_motion(cycle))]
+    largest_step = largest_block * float(model.clearance)
+    block, diagnosis, failures = LARGEST_SHARE * cycles, "", 0
+    for tries in range(MOST_TRIES + 1):
+        if here.cycles >= cycles:
+            break
+        if tries == MOST_TRIES:
+            diagnosis = (
+                f"after {MOST_TRIES} blocks {here.cycles:.6g} of {cycles:.6g} cycles were reached, the last in blocks "
+                f"of {block:.3g}: ask for fewer cycles, or for a larger tolerance="
+            )
+            break
+        left = cycles - here.cycles
+        # Four quarters are all: rounding leaves no sliver behind.
+        block = left if left < block * (1 + 1e-9) else block
+        try:
+            tried = _block(study, model, cycle, here, block, largest_step)
+        except _StoppedError as failure:
+            failures += 1
+            if failures > MOST_FAILURES:
+                diagnosis = f"after {here.cycles:.6g} of {cycles:.6g} cycles a block failed: {failure}"
+                break
+            block *= 0.5
+            continue
+        failures = 0
+        if tried.error > tolerance:
+            block *= max(SHORTEST, 0.8 * np.sqrt(tolerance / tried.error))
+            continue
+        at = cycles if block == left else here.cycles + block
+        here = tried.worn._replace(cycles=at)
+        _require_kept(cycle, here)
+        cycle, run = tried.cycle, tried.run
+        states.append(here)
+        blocks.append(tried.told)
+        longer = min(LONGEST, 0.8 * np.sqrt(tolerance / max(tried.error, 1e-6)))
+        block = min(block * longer, LARGEST_SHARE * cycles)
+    remarks = [*remarks_on(cycle, checks, diagnosis), *_on_the_fit(joint, here, blocks)]
+    maps = result_of(run, cycle, states, checks, diagnosis, remarks)
+    for text in remarks:
+        warnings.warn(text, WearWarning, stacklevel=2)
+    last = blocks[-1]
+    worn_scene = study.scene_with(Profiles(last.socket, last.ball))
+    return WearIn(maps, tuple(blocks), degree, worn_scene, run)
+
+
+# A block --------------------------------------------------------------------------------------------------------------
+
+
+class _StoppedError(Exception):
+    """A run on worn surfaces failed."""
+
+
+class _WearStudy(NamedTuple):
+    """The scene with its joint, and how it is simulated."""
+
+    scene: Scene
+    joint: str
+    ts: Any
+    window: Any
+    foundation: float | None
+    degree: int
+    k_ball: float
+    options: dict[str, Any]
+
+    def scene_with(self, profiles: Profiles | None) -> Scene:
+        """The scene with profiles in place of its joint's depths; with None as it is."""
+        if profiles is None or (profiles.socket is None and profiles.ball is None):
+            return self.scene
+        depths = [None if a is None else HarmonicDepth(a) for a in (profiles.socket, profiles.ball)]
+
+        def depths_of(scene):
+            model = scene.joints[self.joint].model
+            return [model.socket_depth, model.ball_depth]
+
+        return eqx.tree_at(depths_of, self.scene, depths, is_leaf=lambda leaf: leaf is None)
+
+    def run_on(self, profiles: Profiles | None) -> Trajectory:
+        """A run on surfaces with these profiles."""
+        return simulate(self.scene_with(profiles), self.ts, **self.options)
+
+    def contacts(self, run: Trajectory):
+        """The contacts of a run's cycle."""
+        window = checked_window(run, self.window)
+        model: Any = run.system.spherical(self.joint).model
+        counts = ball_matters(model, self.k_ball)
+        return contacts_of(run.system, run._steps, self.joint, window, run.scalar, self.foundation, counts)
+
+
+class _TriedBlock(NamedTuple):
+    """A block that was made, with the cycle that is simulated at its end."""
+
+    worn: Worn
+    cycle: RubbingCycle
+    run: Trajectory
+    error: float
+    told: WearBlock
+
+
+def _block(
+    study: _WearStudy, model: Any, cycle: RubbingCycle, here: Worn, block: float, largest_step: float
+) -> _TriedBlock:
+    first = _extrapolated(cycle.rate, here.depth, block, largest_step)
+    after, _, _ = _simulated(study, model, cycle, first.depth)
+
+    def mean_rate(depth: Maps) -> Rate:
+        return _mean(cycle.rate(depth), after.rate(depth))
+
+    second = _extrapolated(mean_rate, here.depth, block, largest_step)
+    apart = max(float(jnp.max(jnp.abs(a - b))) for a, b in zip(first.depth, second.depth, strict=True))
+    error = apart / max(float(jnp.max(each)) for each in second.depth)
+    end, run, profiles = _simulated(study, model, after, second.depth)
+    volume = here.volume[0] + second.volume[0], here.volume[1] + second.volume[1]
+    worn = Worn(0.0, second.depth, end.rate(second.depth), volume)
+    # How well the profiles serve is asked of the contacts that they have led to.
+    off = misfit(end, end.rubbed(second.depth)[1], profiles)
+    return _TriedBlock(worn, end, run, error, WearBlock(*profiles, off, error, *_of_motion(end)))
+
+
+def _extrapolated(rate, depth: Maps, block: float, largest_step: float) -> Worn:
+    states, diagnosis = over_cycles(rate, depth, block, largest_step)
+    if diagnosis:
+        raise _StoppedError(diagnosis)
+    return states[-1]
+
+
+def _mean(one: Rate, other: Rate) -> Rate:
+    depth = Maps(*(0.5 * (a + b) for a, b in zip(one.depth, other.depth, strict=True)))
+    socket, ball = (0.5 * (a + b) for a, b in zip(one.volume, other.volume, strict=True))
+    return Rate(depth, 0.5 * (one.approach + other.approach), 0.5 * (one.aside + other.aside), (socket, ball))
+
+
+def _simulated(
+    study: _WearStudy, model: Any, cycle: RubbingCycle, depth: Maps
+) -> tuple[RubbingCycle, Trajectory, Profiles]:
+    """The cycle on worn surfaces; where the surfaces meet, and how loaded, says the cycle before."""
+    profiles = fitted(cycle, depth, cycle.rubbed(depth)[1], study.degree)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            run = study.run_on(profiles)
+        if not run.succeeded:
+            raise _StoppedError(run.diagnosis)
+        contacts = study.contacts(run)
+    except SceneError as error:
+        raise _StoppedError(str(error)) from error
+    if not len(contacts.duration):
+        raise _StoppedError("nothing rubs in the cycle any more")
+    return cycle_of(cycle.joint, model, contacts, cycle.cells, cycle.coefficients, cycle.shape), run, profiles
+
+
+def _of_motion(cycle: RubbingCycle) -> tuple[float, float]:
+    """Impulse of the normal force in a cycle [N s], and work of the sliding in the contacts' middles [J]."""
+    return cycle.contacts.impulse, cycle.contacts.slid
+
+
+# What is asked for, and what is checked -------------------------------------------------------------------------------
+
+
+def _check(scene: Any, joint: Any, degree: Any, tolerance: Any) -> None:
+    if not isinstance(scene, Scene):
+        raise SceneError(f"wear_in takes a scene, which it simulates again and again, and not {type(scene).__name__}")
+    if joint not in scene.joints:
+        raise SceneError(f"there is no joint {joint!r}; {one_of(list(scene.joints), str(joint))}")
+    model = getattr(scene.joints[joint], "model", None)
+    if not isinstance(model, Dry):
+        raise SceneError(
+            f"joint {joint!r}: its model is {type(model).__name__}, and surfaces that wear in the motion are those of "
+            "Dry; for the contact of a lubricated joint take sj.wear"
+        )
+    whole_number("degree", degree, "Give the degree of the harmonics, e.g. degree=8.")
+    if degree > LARGEST_DEGREE:
+        raise SceneError(f"degree = {degree} must be at most {LARGEST_DEGREE}")
+    if isinstance(tolerance, bool | str) or not is_concrete(tolerance) or np.ndim(tolerance) != 0:
+        raise SceneError(f"wear of joint {joint!r}: tolerance = {tolerance!r} must be a number")
+    enforce(f"wear of joint {joint!r}", [positive("tolerance", tolerance, "1")])
+
+
+def _require_kept(cycle: RubbingCycle, worn: Worn) -> None:
+    """Whether the maps hold all that was rubbed off since the start."""
+    for each, volume in zip(worn.depth, worn.volume, strict=True):
+        there = float(jnp.sum(each)) * cycle.cell_area
+        if not abs(there - volume) <= LOST * volume:
+            raise SimulationError(
+                f"wear of joint {cycle.joint!r} is not conserved: {volume:.12g} m^3 were rubbed off, and the maps hold "
+                f"{there:.12g} m^3. This is a fault of the program; please report it"
+            )
+
+
+def _on_the_fit(joint: str, worn: Worn, blocks: list[WearBlock]) -> list[str]:
+    far = abs(worn.rate.approach)
+    off = blocks[-1].misfit
+    if off <= ILL_FITTED * far:
+        return []
+    return [
+        f"wear of joint {joint!r}: the profiles that the motion feels are off by {off:.3g} m in the contacts, where "
+        f"the ball goes {far:.3g} m farther for the wear. Ask for a higher degree="
+    ]
