@@ -6,7 +6,7 @@ import pytest
 
 import spherejax as sj
 from spherejax.motion.runs.many import simulate_many
-from spherejax.physics.functions.base import room_between
+from spherejax.physics.functions.base import distance_to_next
 
 G = 9.81
 
@@ -101,12 +101,51 @@ def test_a_jolt_of_a_drive_shorter_than_any_step_is_met():
 
 def test_where_functions_begin_end_and_turn():
     bump, table = sj.functions.Bump(1.0, 2.0, 1.0), sj.functions.Table([0.0, 1.0, 4.0], [0.0, 1.0, 0.0])
-    assert float(bump.room(0.5, True)) == 1.5
-    assert float(bump.room(2.0, True)) == 0.5  # its crest; what a step ends on is passed
-    assert float(bump.room(4.0, False)) == 1.0
-    assert float(bump.room(4.0, True)) == np.inf
-    assert float(table.room(1.5, True)) == 2.5
-    assert float(table.room(1.5, False)) == 0.5
-    assert float(sj.functions.Sine(1.0, 50.0).room(3.0, True)) == 0.01
-    assert float(sj.functions.Sum(bump, table).room(0.5, True)) == 0.5
-    assert float(room_between([1.0, 2.0], 1.0, True)) == 1.0
+    assert float(bump.distance_to_breakpoint(0.5, True)) == 1.5
+    assert float(bump.distance_to_breakpoint(2.0, True)) == 0.5  # its crest; what a step ends on is passed
+    assert float(bump.distance_to_breakpoint(4.0, False)) == 1.0
+    assert float(bump.distance_to_breakpoint(4.0, True)) == np.inf
+    assert float(table.distance_to_breakpoint(1.5, True)) == 2.5
+    assert float(table.distance_to_breakpoint(1.5, False)) == 0.5
+    assert float(sj.functions.Sine(1.0, 50.0).distance_to_breakpoint(3.0, True)) == 0.01
+    assert float(sj.functions.Sum(bump, table).distance_to_breakpoint(0.5, True)) == 0.5
+    assert float(distance_to_next([1.0, 2.0], 1.0, True)) == 1.0
+
+
+def test_a_class_that_overrides_the_earlier_name_is_served_and_told():
+    with pytest.warns(DeprecationWarning, match="Late.room is now called distance_to_breakpoint; rename the method"):
+
+        class Late(sj.functions.AbstractFunction):
+            at: float
+
+            def __call__(self, x):
+                return jnp.where(x < self.at, 0.0, 1.0)
+
+            def room(self, x, is_forward):
+                assert super().room(x, is_forward) is None
+                return jnp.where(x < self.at, self.at - x, jnp.inf)
+
+    late = Late(0.3)
+    with pytest.warns(DeprecationWarning, match="Late.room is now called"):
+        assert float(late.distance_to_breakpoint(0.1, True)) == 0.3 - 0.1
+    assert not late.is_unknown
+    with pytest.warns(DeprecationWarning, match="Table.room is now called"):
+        assert float(sj.functions.Table([0.0, 1.0], [0.0, 1.0]).room(0.25, True)) == 0.75
+
+
+def test_a_force_that_overrides_the_earlier_name_ends_steps_at_its_pulse():
+    begin, end = 0.51234, 0.51235  # a hundred-thousandth of the motion: shorter than what is looked for
+
+    with pytest.warns(DeprecationWarning, match="Pulse.room is now called time_to_breakpoint; rename the method"):
+
+        class Pulse(sj.forces.AbstractForce):
+            def wrenches(self, t, motions):
+                push = jnp.where((t >= begin) & (t < end), 1e5, 0.0)
+                return {"body": sj.forces.Wrench(jnp.array([push, 0.0, 0.0]), jnp.zeros(3))}
+
+            def room(self, t, motions):
+                return jnp.min(jnp.where(t < jnp.array([begin, end]), jnp.array([begin, end]) - t, jnp.inf))
+
+    scene = sj.Scene({"body": sj.Body(2.0, (1.0, 1.0, 1.0))}, forces={"pulse": Pulse()}, gravity=(0.0, 0.0, 0.0))
+    run = sj.simulate(scene, jnp.linspace(0.0, 1.0, 3))
+    np.testing.assert_allclose(run.velocity("body")[-1, 0], 1e5 * (end - begin) / 2.0, rtol=1e-6)

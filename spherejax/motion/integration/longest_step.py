@@ -1,7 +1,7 @@
 """How long a step may be where something depends on time by itself: a road, a drive, an applied force.
 
 At rest nothing limits a step of a stiff method but its error, which is nothing; it would pass over a bump in the road
-without ever looking there. Roads and drives that know where they begin, end and turn (`AbstractFunction.room`) are met
+without ever looking there. Roads and drives that know where they begin, end and turn (`distance_to_breakpoint`) are met
 there, however short they are, and so are the instants at which a force element samples; of a function of the user's own
 nothing is known, and a hundredth of the motion is the limit. Motion that follows from the state alone needs none.
 """
@@ -19,7 +19,7 @@ from spherejax.model.system import Structure, System, example_of
 from spherejax.motion.equations.body_motions import body_motions
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for
-from spherejax.physics.functions.base import least_room
+from spherejax.physics.functions.base import nearest_breakpoint
 from spherejax.physics.state import unpack
 
 STEPS_AT_LEAST = 100
@@ -47,10 +47,10 @@ def room(system: System, t: Scalar, y: Float[Array, " size"]) -> Scalar | None:
     state = unpack(system.layout, y)
     motions = body_motions(system, state)
     functions = [function for joint in system.joints.values() for function in joint.functions_of_time]
-    rooms = [function.room(t, True) for function in functions]
+    rooms = [function.distance_to_breakpoint(t, True) for function in functions]
     forces: Any = system.forces_with(state.memory)
     samples = [forces[name].next_sample() - t for name in system.sampled_forces]
-    return least_room([*rooms, *(force.room(t, motions) for force in forces.values()), *samples])
+    return nearest_breakpoint([*rooms, *(force.time_to_breakpoint(t, motions) for force in forces.values()), *samples])
 
 
 @lru_cache(maxsize=64)

@@ -8,7 +8,8 @@ distance of two instants: such a step sees the pulse by its stages, and its erro
 missed; `sj.functions.Piecewise` says where to look.
 
 With that a step accepts what its own error has seen: stages that scatter about the polynomial (noise, a kink) allow the
-same between them. Only scenes with such functions have this; functions of the package know where they turn (`room`).
+same between them. Only scenes with such functions have this; functions of the package know where they turn
+(`distance_to_breakpoint`).
 """
 
 from collections.abc import Callable

@@ -2,7 +2,7 @@
 
 A driver's equation is differentiated twice; a jump of what it prescribes is in none of the derivatives, and only drift
 control would follow it: slowly by feedback, by teleport with a correction. A jump of the rate (a kink) is an impact of
-the driver. Where the function says where it turns (`AbstractFunction.room`: tables, pieces) a step ends there, and the
+the driver. Where the function says where it turns (`distance_to_breakpoint`: tables, pieces) a step ends there, and the
 correction of the velocities is that impact. Kinks of a function that does not say so are refused.
 
 Bisection of the whole run finds them: of each interval the half is kept in which the function differs more from what
@@ -102,7 +102,7 @@ def _known_all_along(name: str, domain: tuple, ts: Numeric) -> list:
 
 
 def _condition(name: str, function: AbstractFunction, ts: Numeric) -> list:
-    says_where = function.room(jnp.zeros(()), True) is not None
+    says_where = function.distance_to_breakpoint(jnp.zeros(()), True) is not None
     if is_concrete(ts) and all(map(is_concrete, jax.tree.leaves(function))):
         with jax.ensure_compile_time_eval():
             grid = np.linspace(float(ts[0]), float(ts[-1]), N_INTERVALS + 1)
@@ -142,7 +142,7 @@ def _with_marks(function: AbstractFunction, grid: np.ndarray) -> np.ndarray:
     """The grid with the instants at which the function says that it turns, and the middles between them."""
     t, marks = grid[0], [grid[0]]
     while t < grid[-1] and len(marks) < MOST_MARKS:
-        t = t + float(np.asarray(function.room(jnp.asarray(t), True)))
+        t = t + float(np.asarray(function.distance_to_breakpoint(jnp.asarray(t), True)))
         marks.append(min(t, grid[-1]))
     places = np.array(marks)
     between = (places[1:] + places[:-1]) / 2

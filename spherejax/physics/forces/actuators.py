@@ -142,10 +142,10 @@ class Actuator(AbstractMotor):
         del motions
         return ((self.effort(t), self.coordinate.part_units["effort"]),) if self.effort.is_unknown else ()
 
-    def room(self, t, motions):
+    def time_to_breakpoint(self, t, motions):
         """To where the effort begins, ends or turns."""
         del motions
-        return self.effort.room(t, True)
+        return self.effort.distance_to_breakpoint(t, True)
 
     def requirements(self) -> list[Requirement]:
         """A coordinate, a function, a finite number."""

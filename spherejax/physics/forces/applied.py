@@ -13,7 +13,7 @@ from spherejax.foundations.checks import Requirement
 from spherejax.foundations.types import OWN, Named, Numeric, Triple, Unit, Vector3
 from spherejax.physics.bodies import Body, numbers
 from spherejax.physics.forces.base import AbstractForce, FindPlace, Motions, Wrench, body_of, place_of
-from spherejax.physics.functions.base import AbstractFunction, Given, least_room
+from spherejax.physics.functions.base import AbstractFunction, Given, nearest_breakpoint
 from spherejax.physics.kinematics import PointMotion, point_motion
 
 
@@ -78,11 +78,13 @@ class AppliedWrench(AbstractForce):
         force, moment, point = self._applied(t, motions)
         return {body_of(self.body): Wrench(force, moment + jnp.cross(point.arm, force))}
 
-    def room(self, t, motions):
+    def time_to_breakpoint(self, t, motions):
         """To where functions of one's own begin, end or turn, if they are `AbstractFunction`s and say so."""
         del motions
         given = [value.callable for value in (self.force, self.moment) if isinstance(value, Given)]
-        return least_room(one.room(t, True) for one in given if isinstance(one, AbstractFunction))
+        return nearest_breakpoint(
+            one.distance_to_breakpoint(t, True) for one in given if isinstance(one, AbstractFunction)
+        )
 
     def unknown_in_time(self, t, motions):
         """Force and moment by functions of one's own that do not say where they turn."""

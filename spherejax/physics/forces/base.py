@@ -14,6 +14,7 @@ from spherejax.foundations.types import Numeric, Scalar, Vector3
 from spherejax.physics.bodies import Body
 from spherejax.physics.kinematics import BodyMotion
 from spherejax.physics.memory import MemoryEntry
+from spherejax.physics.renamed import by_new_name, take_old_name
 
 Motions = Mapping[str, BodyMotion]
 """The motion of every body by name, the ground included."""
@@ -157,17 +158,25 @@ class AbstractForce(eqx.Module):
         """
         return None
 
-    def room(self, t: Scalar, motions: Motions) -> Scalar | None:
+    def time_to_breakpoint(self, t: Scalar, motions: Motions) -> Scalar | None:
         """How soon [s] something comes that a longer step could pass over, such as a bump; None if nothing is known."""
         del t, motions
         return None
+
+    def room(self, t: Scalar, motions: Motions) -> Scalar | None:
+        """The earlier name of `time_to_breakpoint`; a class that overrides it is served, with a warning."""
+        return by_new_name(self, "room", "time_to_breakpoint")(t, motions)
+
+    def __init_subclass__(cls, **settings):
+        super().__init_subclass__(**settings)
+        take_old_name(cls, "room", "time_to_breakpoint")
 
     def unknown_in_time(self, t: Scalar, motions: Motions) -> tuple[tuple[Array, str], ...]:
         """Values that follow functions of time of which nothing is known, each with its unit "N", "N m", "m" or "1".
 
         They are looked at between the stages of each step, so that no pulse of a twenty-thousandth of the motion is
-        passed over; of a class of the user's own these are all wrenches. What is shorter can be missed, unless `room`
-        says where it begins and ends.
+        passed over; of a class of the user's own these are all wrenches. What is shorter can be missed, unless
+        `time_to_breakpoint` says where it begins and ends.
         """
         return all_of(self.wrenches(t, motions)) if is_users_own(self) else ()
 

@@ -134,10 +134,10 @@ class AbstractController(AbstractMotor, AbstractForceWithMemory):
             "error": seen.error,
         }
 
-    def room(self, t, motions):
+    def time_to_breakpoint(self, t, motions):
         """To where the reference begins, ends or turns."""
         del motions
-        return self.reference.room(t, True)
+        return self.reference.distance_to_breakpoint(t, True)
 
     @staticmethod
     def unit_words(coordinate: AbstractCoordinate, of_rate: bool = False) -> dict[str, str]:

@@ -257,9 +257,9 @@ class Recalling(eqx.Module):
         """Of the element with its turns, or of its action."""
         return dict(self.action(t, motions).parts) if self._acts else self._counted.parts(t, motions)
 
-    def room(self, t, motions):
+    def time_to_breakpoint(self, t, motions):
         """As the element's; the coming sample is another thing, see `next_sample`."""
-        return self._counted.room(t, motions)
+        return self._counted.time_to_breakpoint(t, motions)
 
     def unknown_in_time(self, t, motions):
         """As the element's; of one of the user's own all wrenches."""

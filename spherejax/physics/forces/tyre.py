@@ -154,13 +154,13 @@ class Tyre(AbstractForce):
         """The road."""
         return 1
 
-    def room(self, t, motions):
+    def time_to_breakpoint(self, t, motions):
         """To where the road begins, ends or turns, at the speed of now."""
         if not isinstance(self.road, AbstractFunction):
             return None
         tread = self.tread(t, motions)
         rate = self.speed + tread.center.velocity[0]
-        distance = self.road.room(tread.road_position, rate >= 0)
+        distance = self.road.distance_to_breakpoint(tread.road_position, rate >= 0)
         return None if distance is None else distance / jnp.maximum(jnp.abs(rate), 1e-300)
 
     def touches(self, t, motions):

@@ -17,6 +17,7 @@ from spherejax.foundations.checks import Requirement
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.types import Number, Numeric, Scalar
 from spherejax.physics.functions.closures import Template, closure_converted, is_number
+from spherejax.physics.renamed import by_new_name, take_old_name
 
 
 class AbstractFunction(eqx.Module):
@@ -47,7 +48,7 @@ class AbstractFunction(eqx.Module):
         """d2f/dx2; zero at a kink."""
         return _derivative(lambda x: _derivative(self, x), x)
 
-    def room(self, x: Number, is_forward: Number) -> Scalar | None:
+    def distance_to_breakpoint(self, x: Number, is_forward: Number) -> Scalar | None:
         """How far from x something begins, ends or turns [unit of x], ahead or, with `is_forward` False, behind.
 
         A step of the integration goes no further, so that no bump in a road and no jump of a drive is passed over.
@@ -57,18 +58,27 @@ class AbstractFunction(eqx.Module):
         del x, is_forward
         return None
 
+    def room(self, x: Number, is_forward: Number) -> Scalar | None:
+        """The earlier name of `distance_to_breakpoint`; a class that overrides it is served, with a warning."""
+        return by_new_name(self, "room", "distance_to_breakpoint")(x, is_forward)
+
+    def __init_subclass__(cls, **settings):
+        super().__init_subclass__(**settings)
+        take_old_name(cls, "room", "distance_to_breakpoint")
+
     @property
     def is_unknown(self) -> bool:
         """Whether nothing is known of where the function turns (static), so that steps must look for it.
 
-        Of a plain function nothing is, nor of a class of the user's own that does not say it by `room`.
+        Of a plain function nothing is, nor of a class of the user's own that does not say it by
+        `distance_to_breakpoint`.
         """
         is_own = not type(self).__module__.startswith("spherejax.")
-        return is_own and type(self).room is AbstractFunction.room
+        return is_own and type(self).distance_to_breakpoint is AbstractFunction.distance_to_breakpoint
 
     @property
     def may_jump(self) -> bool:
-        """Whether its value may jump, or its slope at a place that `room` does not tell (static).
+        """Whether its value may jump, or its slope at a place that `distance_to_breakpoint` does not tell (static).
 
         A driver that prescribes such a function is looked at before a run: a prescribed motion must not jump.
         """
@@ -84,7 +94,7 @@ class AbstractFunction(eqx.Module):
         return []
 
 
-def room_between(marks: Sequence[Number] | Numeric, x: Number, is_forward: Number) -> Scalar:
+def distance_to_next(marks: Sequence[Number] | Numeric, x: Number, is_forward: Number) -> Scalar:
     """The distance from x to the nearest of the marks ahead, or behind; infinite behind the last one.
 
     A mark as near as rounding is passed: a step that ends on it does not stay there.
@@ -94,10 +104,10 @@ def room_between(marks: Sequence[Number] | Numeric, x: Number, is_forward: Numbe
     return jnp.min(jnp.where(ahead > 1e-12 * (jnp.abs(x) + jnp.abs(places)), ahead, jnp.inf))
 
 
-def least_room(rooms: Iterable[Scalar | None]) -> Scalar | None:
+def nearest_breakpoint(distances: Iterable[Scalar | None]) -> Scalar | None:
     """The least of several; None where none is known."""
-    known = [room for room in rooms if room is not None]
-    return jnp.min(jnp.stack([jnp.asarray(room, jnp.float64) for room in known])) if known else None
+    known = [jnp.asarray(distance, jnp.float64) for distance in distances if distance is not None]
+    return jnp.min(jnp.stack(known)) if known else None
 
 
 def _derivative(function: Callable, x: Number) -> Scalar:
@@ -249,9 +259,9 @@ class ConvertedFunction(AbstractFunction):
         """As the function."""
         return self.function.is_unknown
 
-    def room(self, x: Number, is_forward: Number) -> Scalar | None:
+    def distance_to_breakpoint(self, x: Number, is_forward: Number) -> Scalar | None:
         """That of the function."""
-        return self.function.room(x, is_forward)
+        return self.function.distance_to_breakpoint(x, is_forward)
 
     def requirements(self) -> list[Requirement]:
         """Those of the function."""

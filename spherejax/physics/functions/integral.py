@@ -98,9 +98,9 @@ class Integral(AbstractFunction):
         """The rate's derivative."""
         return self.rate.derivative(x)
 
-    def room(self, x: Number, is_forward: Number) -> Scalar | None:
+    def distance_to_breakpoint(self, x: Number, is_forward: Number) -> Scalar | None:
         """As the rate's."""
-        return self.rate.room(x, is_forward)
+        return self.rate.distance_to_breakpoint(x, is_forward)
 
     @property
     def is_unknown(self) -> bool:

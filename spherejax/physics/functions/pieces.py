@@ -13,9 +13,9 @@ from spherejax.physics.bodies import numbers
 from spherejax.physics.functions.base import (
     AbstractFunction,
     as_function,
+    distance_to_next,
     function_requirements,
-    least_room,
-    room_between,
+    nearest_breakpoint,
 )
 
 
@@ -75,10 +75,13 @@ class Piecewise(AbstractFunction):
         """Whether one of the pieces is."""
         return any(piece.is_unknown for piece in self.pieces)
 
-    def room(self, x: Number, is_forward: Number) -> Scalar | None:
+    def distance_to_breakpoint(self, x: Number, is_forward: Number) -> Scalar | None:
         """To the next break, or less where a piece says so."""
-        return least_room(
-            [room_between(self.breaks, x, is_forward), *(piece.room(x, is_forward) for piece in self.pieces)]
+        return nearest_breakpoint(
+            [
+                distance_to_next(self.breaks, x, is_forward),
+                *(piece.distance_to_breakpoint(x, is_forward) for piece in self.pieces),
+            ]
         )
 
     def requirements(self) -> list[Requirement]:
@@ -132,9 +135,9 @@ class Sum(AbstractFunction):
         """Whether one of the terms is."""
         return any(term.is_unknown for term in self.terms)
 
-    def room(self, x: Number, is_forward: Number) -> Scalar | None:
+    def distance_to_breakpoint(self, x: Number, is_forward: Number) -> Scalar | None:
         """The least of the terms."""
-        return least_room(term.room(x, is_forward) for term in self.terms)
+        return nearest_breakpoint(term.distance_to_breakpoint(x, is_forward) for term in self.terms)
 
     @property
     def may_jump(self) -> bool:

@@ -110,7 +110,7 @@ class RandomRoad(AbstractFunction):
         waves = jnp.cos(2 * np.pi * frequencies * x + phases) - jnp.cos(phases)
         return jnp.sum(jnp.sqrt(2.0 * variances) * waves)
 
-    def room(self, x: Number, is_forward: Number) -> Scalar:
+    def distance_to_breakpoint(self, x: Number, is_forward: Number) -> Scalar:
         """Half of the shortest wave, from anywhere."""
         del x, is_forward
         return 0.5 / jnp.asarray(self.highest)

@@ -11,7 +11,7 @@ from spherejax.foundations.legal import above, numeric, positive
 from spherejax.foundations.numerics import horner
 from spherejax.foundations.types import COEFFICIENTS, Number, Numeric, Scalar, Unit
 from spherejax.physics.bodies import numbers
-from spherejax.physics.functions.base import AbstractFunction, as_function, room_between
+from spherejax.physics.functions.base import AbstractFunction, as_function, distance_to_next
 
 
 class _KnowsPrimitive(AbstractFunction):
@@ -169,7 +169,7 @@ class Sine(_KnowsPrimitive):
         rate = 2 * np.pi * self.frequency
         return self.offset * x - self.amplitude / rate * jnp.cos(rate * x + self.phase)
 
-    def room(self, x: Number, is_forward: Number) -> Scalar:
+    def distance_to_breakpoint(self, x: Number, is_forward: Number) -> Scalar:
         """Half a cycle, from anywhere."""
         return 0.5 / jnp.maximum(jnp.abs(self.frequency), 1e-300)
 
@@ -210,9 +210,9 @@ class Step(_KnowsPrimitive):
         past = jnp.where(x < self.at, 0.0, x - self.at)
         return self.before * x + (self.after - self.before) * past
 
-    def room(self, x: Number, is_forward: Number) -> Scalar:
+    def distance_to_breakpoint(self, x: Number, is_forward: Number) -> Scalar:
         """To the step."""
-        return room_between([self.at], x, is_forward)
+        return distance_to_next([self.at], x, is_forward)
 
     @property
     def may_jump(self) -> bool:
@@ -255,9 +255,9 @@ class SmoothStep(_KnowsPrimitive):
         past = jnp.where(x < self.end, 0.0, x - self.end)
         return self.before * x + (self.after - self.before) * (inside + past)
 
-    def room(self, x: Number, is_forward: Number) -> Scalar:
+    def distance_to_breakpoint(self, x: Number, is_forward: Number) -> Scalar:
         """To where it begins or ends to change."""
-        return room_between([self.start, self.end], x, is_forward)
+        return distance_to_next([self.start, self.end], x, is_forward)
 
     def requirements(self) -> list[Requirement]:
         """Start before end, all finite."""
@@ -301,9 +301,9 @@ class Bump(_KnowsPrimitive):
         u = _fraction(x, self.start, self.length)
         return 0.5 * self.height * self.length * (u - jnp.sin(2 * np.pi * u) / (2 * np.pi))
 
-    def room(self, x: Number, is_forward: Number) -> Scalar:
+    def distance_to_breakpoint(self, x: Number, is_forward: Number) -> Scalar:
         """To the next of its start, its crest and its end."""
-        return room_between([self.start, self.start + self.length / 2, self.start + self.length], x, is_forward)
+        return distance_to_next([self.start, self.start + self.length / 2, self.start + self.length], x, is_forward)
 
     def requirements(self) -> list[Requirement]:
         """A positive length, the others finite."""

@@ -11,7 +11,7 @@ from spherejax.foundations.checks import Requirement
 from spherejax.foundations.legal import numeric
 from spherejax.foundations.types import Listed, Number, Numeric, Scalar, Unit
 from spherejax.physics.bodies import numbers
-from spherejax.physics.functions.base import AbstractFunction, room_between
+from spherejax.physics.functions.base import AbstractFunction, distance_to_next
 
 
 class _AbstractTable(AbstractFunction):
@@ -31,9 +31,9 @@ class _AbstractTable(AbstractFunction):
         """F(x), zero at the first point."""
         return _integral_at(self._cubics(), x)
 
-    def room(self, x: Number, is_forward: Number) -> Scalar:
+    def distance_to_breakpoint(self, x: Number, is_forward: Number) -> Scalar:
         """To the next point."""
-        return room_between(self.x, x, is_forward)
+        return distance_to_next(self.x, x, is_forward)
 
     def requirements(self) -> list[Requirement]:
         """Two points or more, in order."""

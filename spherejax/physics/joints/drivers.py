@@ -10,8 +10,8 @@ an `equinox.Module` with `__call__`; a plain function is structure: define it on
 compiled anew.
 
 What is prescribed must not jump; `spherejax.motion.start.jumps` looks before a run. Its rate may jump where the
-function says by `room` that it turns, as `Table` and `Piecewise` do: with a correction of each step (the
-default drift control) that is an impact of the driver.
+function says by `distance_to_breakpoint` that it turns, as `Table` and `Piecewise` do: with a correction of each step
+(the default drift control) that is an impact of the driver.
 """
 
 from collections.abc import Callable
