@@ -107,6 +107,12 @@ JOURNALS = {
     "esdu": sj.Dry(clearance=C, conformity=sj.laws.EsduCylinder(0.02), friction=sj.LuGre()),
     "short": sj.Lubricated(clearance=C, film=sj.laws.ShortBearing(0.02), conformity=_CYLINDER),
     "long": sj.Lubricated(clearance=C, film=sj.laws.LongBearing(0.04), conformity=_CYLINDER),
+    "warm": sj.Lubricated(
+        clearance=C,
+        film=sj.laws.ShortBearing(0.02),
+        conformity=_CYLINDER,
+        heat=sj.laws.OilHeat(sj.laws.ReynoldsViscosity(0.03), 0.5, 2.0, 1.0),
+    ),
     "sommerfeld": sj.Lubricated(
         clearance=C, film=sj.laws.ShortBearing(0.02), boundary=sj.Sommerfeld(), conformity=_CYLINDER
     ),
