@@ -604,6 +604,64 @@ def wear() -> Figure:
     return sj.wear(run, "cup", k_socket=1e-15, k_ball=0.0, **options).figure()
 
 
+def wear_in() -> Figure:
+    """Wear with a motion that follows, and with the motion of the unworn joint."""
+    rate, clearance = 30.0, 1e-4
+    law = sj.laws.HuntCrossleyDissipation(30.0, stiffness=1.5e11)
+    dry = sj.Dry(clearance, socket_radius=0.01, normal=law)
+    ball = sj.Body(
+        1.0,
+        (1e-3,) * 3,
+        position=(0, 0, -1.012e-4),
+        angular_velocity=(0, rate, 0),
+        points={"center": (0, 0, 0)},
+    )
+    joint = sj.Spherical("ground.socket", "ball.center", dry, starts_concentric=False)
+    spring = sj.SpringDamper(("ground.anchor", "ball.center"), 2e6, 300.0, 0.9997988)
+    pressed = sj.Scene(
+        {"ball": ball},
+        {"joint": joint},
+        {"spring": spring},
+        gravity=(0, 0, 0),
+        ground_points={"socket": (0, 0, 0), "anchor": (0, 0, -1.0)},
+    )
+    turn = 2 * np.pi / rate
+    ts = np.linspace(0.0, 0.1 + turn, 21)
+    options = {"cycles": 4000.0, "window": (0.1, 0.1 + turn), "cells": 64}
+    options |= {"k_socket": 1e-13, "k_ball": 0.0, "foundation": 1e12}
+    follows = sj.studies.wear_in(pressed, "joint", ts, **options)
+    alone = sj.wear(sj.simulate(pressed, ts), "joint", **options)
+    figure, (left, middle, right) = plt.subplots(
+        1, 3, figsize=(11, 3.4), layout="constrained"
+    )
+    left.plot(alone.cycles, 1e9 * alone.volumes("socket"), "--", color="0.4")
+    left.plot(follows.cycles, 1e9 * follows.volumes("socket"), "o-", ms=3)
+    left.set(xlabel="cycles", ylabel="rubbed off [mm³]")
+    middle.axhline(
+        follows.blocks[0].impulse / turn, ls="--", color="0.4", label="unworn motion"
+    )
+    loads = [block.impulse / turn for block in follows.blocks]
+    middle.plot(follows.cycles, loads, "o-", ms=3, label="motion that follows")
+    middle.set(xlabel="cycles", ylabel="load [N]", ylim=(0, None))
+    angle = np.radians(np.linspace(-90, 90, 361))
+    u = np.stack([np.sin(angle), 0 * angle, -np.cos(angle)], axis=-1)
+    profile = follows.profile("socket")
+    felt = [float(profile.depth(jnp.asarray(each))) for each in u]
+    right.plot(
+        np.degrees(angle),
+        1e6 * follows.wear.depth_at("socket", u),
+        label="depth of wear",
+    )
+    right.plot(
+        np.degrees(angle), 1e6 * np.array(felt), label="how much farther the ball goes"
+    )
+    right.set(xlabel="direction, across the axis [deg]", ylabel="in the end [µm]")
+    right.set(ylim=(-2, 62))
+    middle.legend(fontsize=8, frameon=False)
+    right.legend(fontsize=8, frameon=False, loc="upper center")
+    return figure
+
+
 def scene(name: str) -> Callable[[], Figure]:
     """A picture of a scene of the gallery, assembled at its start."""
     return lambda: sj.draw(getattr(sj.gallery, name)())
@@ -821,6 +879,7 @@ PICTURES: dict[str, Callable[[], Figure | Image.Image]] = {
     "report": report,
     "suspension_over_bump": suspension,
     "wear": wear,
+    "wear_in": wear_in,
     "gears": gears,
     "pose_play": pose_play,
     "inverse_dynamics": inverse_dynamics,
