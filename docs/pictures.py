@@ -857,6 +857,63 @@ def pose_play() -> Figure:
     return figure
 
 
+def friction_band() -> Figure:
+    """The lamp of the page on bands of friction: efforts that move it, and where it stays by itself."""
+    source = (FOLDER.parent / "howto" / "friction_band.md").read_text()
+    names: dict = {}
+    exec(source.split("```python\n")[1].split("found = ")[0], names)
+    found = sj.studies.friction_band(
+        names["lamp"](0.3), names["elevation"], (-1.2, 1.2), samples=121
+    )
+    figure, panel = plt.subplots(figsize=(6.4, 3.8), layout="constrained")
+    for first, last in found.bands:
+        first, last = np.clip([first, last], -1.2, 1.2)
+        panel.axvspan(first, last, color="0.93", linewidth=0)
+    panel.axhline(0.0, color="0.6", linewidth=0.8)
+    x = np.asarray(found.positions)
+    panel.fill_between(
+        x, found.backward, found.forward, color=LINES[1], alpha=0.15, linewidth=0
+    )
+    panel.plot(x, found.forward, color=LINES[1], label="moves up from here on")
+    panel.plot(
+        x, found.backward, color=LINES[1], linestyle="--", label="moves down below"
+    )
+    panel.set(xlabel="elevation [rad]", ylabel="moment on the arm [N m]")
+    panel.margins(x=0)
+    panel.legend(
+        fontsize=8,
+        frameon=False,
+        ncols=2,
+        loc="lower center",
+        bbox_to_anchor=(0.5, 1.0),
+    )
+    return figure
+
+
+def end_compliance() -> Figure:
+    """Where 1 N in any direction of the plane x, z moves a tool on a bushing, at three distances from it."""
+    law = sj.laws.MatrixElastomer(
+        stiffness=np.diag([3e4, 5e4, 7e4]),
+        damping=np.diag([30.0, 50.0, 70.0]),
+        rotational_stiffness=np.diag([40.0, 60.0, 90.0]),
+        rotational_damping=np.diag([0.04, 0.06, 0.09]),
+    )
+    mount = sj.Fixed(("ground", "hand"), "hand.mount", sj.Bushing(law=law))
+    angles = np.linspace(0.0, 2 * np.pi, 181)
+    force = np.stack([np.cos(angles), 0 * angles, np.sin(angles)])
+    figure, panel = plt.subplots(figsize=(4.6, 4.8), layout="constrained")
+    for arm, color in zip((0.1, 0.2, 0.3), LINES[1:], strict=False):
+        points = {"tool": (arm, 0, arm / 3), "mount": (0, 0, 0)}
+        hand = sj.Body(2.0, (0.02, 0.03, 0.04), points=points)
+        scene = sj.Scene({"hand": hand}, {"mount": mount})
+        found = sj.studies.end_compliance(scene, "hand.tool")
+        x, _, z = 1e6 * np.asarray(found.compliance[:3, :3]) @ force
+        panel.plot(x, z, color=color, label=f"{100 * arm:.0f} cm from the bushing")
+    panel.set(aspect="equal", xlim=(-1400, 1400), xlabel="x [µm]", ylabel="z [µm]")
+    panel.legend(fontsize=8, frameon=False, loc="lower left")
+    return figure
+
+
 PICTURES: dict[str, Callable[[], Figure | Image.Image]] = {
     "four_bar": four_bar,
     "accelerations": accelerations,
@@ -883,6 +940,8 @@ PICTURES: dict[str, Callable[[], Figure | Image.Image]] = {
     "gears": gears,
     "pose_play": pose_play,
     "inverse_dynamics": inverse_dynamics,
+    "friction_band": friction_band,
+    "end_compliance": end_compliance,
     **{f"scene_{name}": scene(name) for name in sj.gallery.__all__},
 }
 

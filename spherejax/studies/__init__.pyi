@@ -17,6 +17,7 @@ from .fit import (
     Sensor,
     Whole,
 )
+from .friction_band import FrictionBand, friction_band
 from .inverse import InverseDynamics, SampledMotion, inverse_dynamics
 from .linear import Linearization, Modes, linearize
 from .model_choice import Candidate, ModelComparison, ModelEvidence, compare_models
@@ -42,6 +43,7 @@ __all__ = [
     "DynamicStiffness",
     "EndCompliance",
     "Fit",
+    "FrictionBand",
     "Grid",
     "GrowingHorizon",
     "Huber",
@@ -77,6 +79,7 @@ __all__ = [
     "dynamic_stiffness",
     "end_compliance",
     "fit_stiffness",
+    "friction_band",
     "inverse_dynamics",
     "joint_models",
     "linearize",

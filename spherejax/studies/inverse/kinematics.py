@@ -140,7 +140,7 @@ def poses(mechanism: IdealMechanism, ts: Float[Array, " n"], wishes: MeasuredSig
     held, held_ts, held_wishes = jax.lax.stop_gradient((mechanism, ts, wishes))
 
     def follow(pose, sample):
-        pose = jax.lax.fori_loop(0, STEPS, lambda _, pose: _stepped(held, sample[0], pose, sample[1]), pose)
+        pose = jax.lax.fori_loop(0, STEPS, lambda _, pose: stepped(held, sample[0], pose, sample[1]), pose)
         return pose, pose
 
     # The first instant several times over, and not in a loop of its own: the step is compiled once.
@@ -149,14 +149,15 @@ def poses(mechanism: IdealMechanism, ts: Float[Array, " n"], wishes: MeasuredSig
     followed = jax.lax.stop_gradient(followed[FIRST_REPEATS:])
 
     def carried(pose, t, wished):
-        return jax.lax.scan(lambda pose, _: (_stepped(mechanism, t, pose, wished), None), pose, length=LAST_STEPS)[0]
+        return jax.lax.scan(lambda pose, _: (stepped(mechanism, t, pose, wished), None), pose, length=LAST_STEPS)[0]
 
     return jax.vmap(carried)(followed, ts, wishes)
 
 
-def _stepped(
+def stepped(
     mechanism: IdealMechanism, t: Scalar, pose: Float[Array, "b 7"], wished: MeasuredSignals
 ) -> Float[Array, "b 7"]:
+    """One step towards the pose that closes the joints and comes nearest to what is wished."""
     still = flat_state(pose, jnp.zeros((mechanism.n_bodies, VELOCITY_SIZE)))
     scales, weights = mechanism.scales(), _weights(mechanism)
     constraints = evaluated(closing, mechanism.closed, t, still)
