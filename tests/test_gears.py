@@ -209,6 +209,29 @@ def test_a_stiffness_that_varies_with_the_teeth_keeps_the_energy():
     np.testing.assert_allclose(run.force("mesh")["lag"], lag, atol=1e-6)
 
 
+def test_a_rack_rattles_on_its_pinion_as_the_piecewise_closed_form_says():
+    """A turn and a travel: u = x - r a, and I w/r + m v stays as it is."""
+    pair, speed, ts = Pair(0.002, 1.5, 0.04, 2e-4, 4e5), 0.05, np.linspace(0.0, 0.03, 301)
+    pinion = sj.Body(1.0, (pair.first,) * 3, angular_velocity=(0.0, 0.0, 2.0))
+    rack = sj.Body(pair.second, (0.1,) * 3, position=(0.0, 0.04, 0.0), velocity=(2.0 * pair.ratio + speed, 0.0, 0.0))
+    turn, travel = sj.Turn(("ground", "pinion"), AXIS), sj.Travel(("ground", "rack"), (1.0, 0.0, 0.0))
+    scene = sj.Scene(
+        {"pinion": pinion, "rack": rack},
+        {
+            "bearing": sj.Revolute(("ground", "pinion"), (0.0, 0.0, 0.0), AXIS),
+            "guide": sj.Prismatic(("ground", "rack"), (0.0, 0.04, 0.0), (1.0, 0.0, 0.0)),
+        },
+        {"teeth": sj.forces.Gear(turn, travel, pair.ratio, pair.backlash, pair.stiffness)},
+        **NO_GRAVITY,
+    )
+    run = sj.simulate(scene, ts, rtol=1e-10)
+    np.testing.assert_allclose(run.force("teeth")["lag"], pair.lag(ts, speed), atol=1e-8)
+    spin, way = run.angular_velocity("pinion")[:, 2], run.velocity("rack")[:, 0]
+    momentum = pair.first * spin / pair.ratio + pair.second * way
+    np.testing.assert_allclose(momentum, momentum[0], rtol=1e-10)
+    assert np.ptp(spin) > 1.0  # the flanks have met
+
+
 @pytest.mark.parametrize("efficiency", [pytest.param(1.0, marks=pytest.mark.slow), 0.6])
 def test_a_screw_lifts_and_falls_by_its_efficiency(efficiency):
     lead = 0.005 / (2 * np.pi)
