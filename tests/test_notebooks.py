@@ -25,6 +25,7 @@ TOPICS = (
     "equations",
     "four_joints",
     "from_a_csv_to_a_joint_model",
+    "go_on",
     "hard_cases",
     "identification",
     "lubrication",
