@@ -1,4 +1,4 @@
-"""Where friction holds a mechanism: closed forms of a pendulum and a block."""
+"""Where friction holds a mechanism: closed forms of a pendulum and a block; a loop, by simulation."""
 
 import jax
 import jax.numpy as jnp
@@ -31,6 +31,41 @@ def block(mu, stiffness, slope=0.3):
     spring = sj.SpringDamper(("ground.anchor", "block.middle"), stiffness, free_length=1.0)
     points = {"anchor": -axis}
     return sj.Scene({"block": body}, {"guide": guide}, {"spring": spring}, ground_points=points), axis
+
+
+def slider_crank(angle, mu=0.3, v1=1e-5):
+    """A crank, a rod and a slider on a spring; dry pins and a dry guide, none redundant. Closed at a crank angle."""
+    crank, rod = 0.1, 0.25
+    joint = np.array([crank * np.cos(angle), 0.0, crank * np.sin(angle)])
+    end = np.array([joint[0] + np.sqrt(rod**2 - joint[2] ** 2), 0.0, 0.0])
+    law = sj.Threlfall(mu=mu, v1=v1)
+    pin, tilt = sj.Ideal(friction=law, radius=0.02), np.arctan2(end[2] - joint[2], end[0] - joint[0])
+
+    def turned(a):
+        return (np.cos(a / 2), 0.0, -np.sin(a / 2), 0.0)
+
+    bodies = {
+        "crank": sj.Body(0.4, (1e-3, 1e-3, 1e-3), position=joint / 2, quaternion=turned(angle)),
+        "rod": sj.Body(
+            0.5,
+            (3e-3, 3e-3, 3e-3),
+            position=(joint + end) / 2,
+            quaternion=turned(tilt),
+            points={"wrist": (rod / 2, 0, 0)},
+        ),
+        "slider": sj.Body(0.6, (1e-3, 1e-3, 1e-3), position=end, points={"middle": (0, 0, 0)}),
+    }
+    joints = {
+        "bearing": sj.Revolute(("ground", "crank"), point=(0, 0, 0), axis=(0, 1, 0), model=pin),
+        "crank_pin": sj.Cylindrical(("crank", "rod"), point=joint, axis=(0, 1, 0), model=pin),
+        "wrist": sj.Spherical("rod.wrist", "slider.middle", pin),
+        "guide": sj.Prismatic(("ground", "slider"), point=end, axis=(1, 0, 0), model=sj.Ideal(friction=law)),
+    }
+    spring = sj.SpringDamper(("ground.anchor", "slider.middle"), 60.0, free_length=0.25)
+    return sj.Scene(bodies, joints, {"spring": spring}, ground_points={"anchor": (0.6, 0, 0)})
+
+
+CRANK = sj.Turn(("ground", "crank"), axis=(0, -1, 0))
 
 
 @pytest.mark.slow
@@ -73,6 +108,20 @@ def test_a_block_on_a_spring_stays_between_two_places():
     expected = [weight * (np.sin(0.3) + side * COSINE * 0.2 * np.cos(0.3)) for side in (-1, 1)]
     np.testing.assert_allclose(found.band(0.15), expected, rtol=1e-9)
     assert (found.unit, found.coordinate_unit) == ("N", "m")
+
+
+@pytest.mark.slow
+def test_a_mechanism_with_a_loop_stays_where_a_simulation_stays():
+    """A law that creeps, at 1e-5 m/s: within the band it creeps on, and outside of it it falls."""
+    found = sj.studies.friction_band(slider_crank(1.0), CRANK, (0.3, 2.2), samples=39)
+    ((first, last),) = found.bands
+    ts = np.linspace(0.0, 0.2, 3)
+    for end, inwards in ((first, 1), (last, -1)):
+        for step, stays in ((0.05, True), (-0.05, False)):
+            scene = slider_crank(1.0 + end + inwards * step)  # the coordinate is 0 in the scene that was described
+            run = sj.simulate(scene, ts, rtol=1e-7)
+            way = np.linalg.norm(run.position("slider")[-1] - run.position("slider")[0])
+            assert (way < 2e-5) == stays, (end, step, way)
 
 
 def test_what_has_no_band_is_answered_in_words():
