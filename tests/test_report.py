@@ -112,6 +112,14 @@ def test_nothing_is_asked_of_anybody(read, written):
     assert written.stat().st_size < 5e6
 
 
+def test_a_picture_says_its_width_so_that_a_phone_does_not_enlarge_a_small_one(written):
+    text = written.read_text()
+    widths = [float(width) for width in re.findall(r"--inches: ([0-9.]+)", text)]
+    assert len(widths) == text.count("<figure><img")
+    assert min(widths) < 4.0 < max(widths)
+    assert "min(42rem, 6rem * var(--inches, 7))" in text
+
+
 def test_a_run_tells_costs_audit_peaks_numbers_citations_versions(read, run):
     expected = [
         "The mechanism",

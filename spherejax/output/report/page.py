@@ -111,7 +111,9 @@ class PagePicture:
     def html(self, data: bytes) -> str:
         """The markup with the picture in it."""
         text = base64.b64encode(data).decode("ascii")
-        return f'<figure><img alt="{escaped(self.shows)}" src="data:image/png;base64,{text}"></figure>'
+        # For a phone: narrower, letters would be smaller than they were drawn; wider, they gain nothing.
+        inches = f"--inches: {self.figure.get_figwidth():.3g}"
+        return f'<figure><img alt="{escaped(self.shows)}" style="{inches}" src="data:image/png;base64,{text}"></figure>'
 
 
 @dataclass(frozen=True)
