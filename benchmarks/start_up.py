@@ -86,11 +86,16 @@ REPEATS = 3
 
 
 def printed(code: str, cache: str) -> float:
-    """What a process prints, with a folder of caches or none ("0")."""
+    """The number that a process prints last, with a folder of caches or none ("0")."""
+    return numbers_printed(code, cache)[-1]
+
+
+def numbers_printed(code: str, cache: str, n: int = 1) -> list[float]:
+    """The last numbers that a process prints."""
     environment = {name: value for name, value in os.environ.items() if name != "JAX_COMPILATION_CACHE_DIR"}
     environment["SPHEREJAX_CACHE"] = cache
     done = subprocess.run([sys.executable, "-c", code], env=environment, check=True, capture_output=True, text=True)
-    return float(done.stdout.split()[-1])
+    return [float(word) for word in done.stdout.split()[-n:]]
 
 
 def of_command(words: list[str]) -> float:

@@ -154,6 +154,7 @@ class AbstractRosenbrock(AbstractAdaptiveSolver):
         t0, t1 = jnp.asarray(t0), jnp.asarray(t1)
         # Linear algebra needs a vector; a user's state may be any pytree.
         y, unravel = ravel_pytree(y0)
+        # The control of the term, not t1 - t0: it is negative where diffrax integrates backward in time.
         h = jnp.asarray(terms.contr(t0, t1)).astype(y.dtype)
 
         def rate(t: Scalar, y: Vector) -> Vector:
@@ -164,6 +165,7 @@ class AbstractRosenbrock(AbstractAdaptiveSolver):
         solve, regular = self.factorize(J, self.tableau.gamma * h)
         # h and t1 - t0 differ in sign where diffrax integrates backward.
         slope = h * (t1 - t0).astype(y.dtype) * f_t
+        # A mechanism's own systems take all stages in one call of machine code, where each call would pass its factors.
         if isinstance(solve, SolveOfStages):
             stages = solve.all_stages(self.tableau, t0, t1 - t0, h, y, slope)
         else:
