@@ -1,10 +1,17 @@
 """Code of a user's own is simulated as it is now: helpers, constants and methods that were written anew are seen."""
 
+import collections
+import enum
+import functools
 import importlib
 import logging
+import pathlib
+import re
 import sys
 import threading
+import types
 import warnings
+from dataclasses import make_dataclass
 
 import diffrax
 import equinox as eqx
@@ -16,6 +23,7 @@ import xarray
 
 import spherejax as sj
 from spherejax.model.system import compile_scene, flatten_system
+from spherejax.program_cache.installed import module_of
 from spherejax.program_cache.user_code import user_code_fingerprint
 
 TS = np.linspace(0.0, 0.1, 4)
@@ -294,3 +302,26 @@ def test_scenes_without_such_code_have_none():
         assert structure.code == user_code_fingerprint(jax.tree.structure(made)) == ""
     structure, _ = flatten_system(compile_scene(scene()).system)
     assert structure.code == user_code_fingerprint(jax.tree.structure(scene())) != ""
+
+
+def test_classes_that_say_they_are_pythons_own_are_read():
+    """Of `exec` without a `__name__` they name `builtins` as their module, of `make_dataclass` they name `types`."""
+    text = "class Typed(Base):\n    def wrenches(self, t, motions):\n        return {factor} * self.stiffness\n"
+    fingerprints = []
+    for factor in (1.0, 2.0, 2.0):
+        names = {"Base": Own}
+        exec(text.format(factor=factor), names)
+        assert names["Typed"].__module__ == "builtins"
+        fingerprints.append(user_code_fingerprint(jax.tree.structure(names["Typed"]("bob", 1.0))))
+    assert fingerprints[0] != fingerprints[1] == fingerprints[2]
+    made = [make_dataclass("Made", [], bases=(Own,), namespace={"factor": factor}) for factor in (1.0, 2.0)]
+    assert len({user_code_fingerprint(jax.tree.structure(kind("bob", 1.0))) for kind in made}) == 2
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [int, types.FunctionType, functools.partial, type(threading.Lock()), type(functools.cache(len)), pathlib.Path,
+     collections.OrderedDict, type(re.compile("")), enum.Enum, types.MappingProxyType],
+)  # fmt: skip
+def test_classes_of_python_are_known_by_their_modules(kind):
+    assert module_of(kind) == kind.__module__

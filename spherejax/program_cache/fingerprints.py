@@ -24,7 +24,7 @@ import numpy as np
 from jax.extend import core as jex
 
 from spherejax.program_cache import settings
-from spherejax.program_cache.installed import is_in_package, is_installed, is_versioned, top_level
+from spherejax.program_cache.installed import is_in_package, is_installed, is_versioned, module_of, top_level
 from spherejax.program_cache.lookups import assigned_in, used_globals, used_of_modules
 
 NOT_COMPUTED = frozenset({
@@ -354,7 +354,7 @@ class _Reader:
             self.value(("wrapped", type(value).__name__, wrapped))
             return
         self.value(type(value))
-        if self._reads_lookups and not dataclasses.is_dataclass(value) and is_installed(type(value).__module__, None):
+        if self._reads_lookups and not dataclasses.is_dataclass(value) and is_installed(module_of(type(value)), None):
             return  # a logger, a file, a table of another library: reading it would not come to an end
         # Its fields alone: what else a dataclass holds, such as a cached property, was computed from them.
         if dataclasses.is_dataclass(value):
@@ -388,7 +388,8 @@ class _Reader:
 
     def _class(self, kind: type) -> None:
         self.word("class", _name_of(kind))
-        if self._skips(not is_versioned(kind.__module__), kind) or self._is_named(kind.__module__, None):
+        module = module_of(kind)
+        if self._skips(not is_versioned(module), kind) or self._is_named(module, None):
             return
         self._count()
         self.value([base for base in kind.__bases__ if base is not object])

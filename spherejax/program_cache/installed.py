@@ -26,6 +26,27 @@ def is_versioned(module: str | None) -> bool:
     return top == current.package or top in current.versioned or (top in sys.stdlib_module_names and top != "__main__")
 
 
+def module_of(kind: type) -> str | None:
+    """The module that a class belongs to; None for one that only says that it is of Python's own.
+
+    A class that `exec` makes without a `__name__` says that it is of `builtins`, one of `dataclasses.make_dataclass` or
+    `types.new_class` that it is of `types`. Such a class is user code, and is not to be found there.
+    """
+    module = kind.__module__
+    is_pythons_own = kind.__flags__ & (_HEAP_TYPE | _IMMUTABLE_TYPE) != _HEAP_TYPE
+    if is_pythons_own or top_level(module) not in sys.stdlib_module_names or "<locals>" in kind.__qualname__:
+        return module
+    found: object = sys.modules.get(module)
+    for name in kind.__qualname__.split("."):
+        found = getattr(found, name, None)
+    return module if found is kind else None
+
+
+_HEAP_TYPE, _IMMUTABLE_TYPE = 1 << 9, 1 << 8
+"""Flags of classes: made while a program runs, and not to be changed. Of those that Python code makes the first alone
+stands (`Py_TPFLAGS_HEAPTYPE`, `Py_TPFLAGS_IMMUTABLETYPE`)."""
+
+
 def is_installed(module: str | None, file: str | None) -> bool:
     """Whether code belongs to Python, an installed package, or the package that is cached.
 
