@@ -51,6 +51,28 @@ WORKS: Mapping[str, Work] = {
     "Astrom and Wittenmark (1997)": Work(
         "Astrom, K. J. and Wittenmark, B.", "Computer-Controlled Systems", "Prentice Hall", "", "", 1997, "book",
     ),
+    "Abramowitz and Stegun (1964)": Work(
+        "Abramowitz, M. and Stegun, I. A.", "Handbook of Mathematical Functions",
+        "National Bureau of Standards", "", "", 1964, "book",
+    ),
+    "Reynolds (1886)": Work(
+        "Reynolds, O.",
+        "On the theory of lubrication and its application to Mr. Beauchamp Tower's experiments",
+        "Philosophical Transactions of the Royal Society of London", "177", "157-234", 1886,
+    ),
+    "Vogel (1921)": Work(
+        "Vogel, H.", "Das Temperaturabhaengigkeitsgesetz der Viskositaet von Fluessigkeiten",
+        "Physikalische Zeitschrift", "22", "645-646", 1921,
+    ),
+    "Nahme (1940)": Work(
+        "Nahme, R.", "Beitraege zur hydrodynamischen Theorie der Lagerreibung",
+        "Ingenieur-Archiv", "11", "191-209", 1940,
+    ),
+    "Raimondi and Boyd (1958)": Work(
+        "Raimondi, A. A. and Boyd, J.",
+        "A solution for the finite journal bearing and its application to analysis and design",
+        "ASLE Transactions", "1", "159-209", 1958,
+    ),
     "Hertz (1881)": Work(
         "Hertz, H.", "Ueber die Beruehrung fester elastischer Koerper",
         "Journal fuer die reine und angewandte Mathematik", "92", "156-171", 1881,

@@ -73,6 +73,7 @@ class Program:
         n_ahead: int,
         is_quiet: bool,
         is_computed: bool = False,
+        largest: int | None = None,
     ):
         self.function = function
         self.structure = structure
@@ -83,7 +84,7 @@ class Program:
             return
         try:
             usual = LARGEST_COMPUTED if is_computed else largest_scalar_program()
-            limit = None if use_scalars else usual
+            limit = None if use_scalars else largest or usual
             self.scalar = _scalar_program(function, structure, y_size, n_ahead, limit, is_computed)
         except NotScalarizable as reason:
             self.too_large = reason.is_too_large
@@ -165,6 +166,7 @@ def program_for(
     *,
     is_quiet: bool = False,
     is_computed: bool = False,
+    largest: int | None = None,
 ) -> Program:
     """The program of a function for a structure, made on first use and kept.
 
@@ -180,8 +182,9 @@ def program_for(
         is_quiet: say nothing where a law has no scalar program.
         is_computed: only `Program.compute` is going to be called. A scalar program is made of up to
             `LARGEST_COMPUTED` operations then, without what derivative rules would give.
+        largest: another limit than the usual one.
     """
-    return made_program(function, structure, use_scalars, y_size, n_ahead, is_quiet, is_computed)
+    return made_program(function, structure, use_scalars, y_size, n_ahead, is_quiet, is_computed, largest)
 
 
 @lru_cache(maxsize=256)

@@ -79,7 +79,7 @@ def as_ideal(system: System) -> System:
 def assemble(structure: Structure, theta: Numeric, t: Scalar | float = 0.0) -> Assembly:
     """Move bodies and velocities to a consistent start at time t [s]; for traced numbers, and differentiable."""
     functions = (newton_step, consistent_velocities, assembly_residuals)
-    step, project, residual = (program_for(function, structure) for function in functions)
+    step, project, residual = (program_for(each, structure, largest=LARGEST_OF_START) for each in functions)
     described = described_state(structure.system(theta))
     t = jnp.asarray(t, jnp.float64)
     moved = jax.lax.fori_loop(0, N_NEWTON_STEPS, lambda _, y: step(theta, t, y), described)
@@ -89,6 +89,12 @@ def assemble(structure: Structure, theta: Numeric, t: Scalar | float = 0.0) -> A
         unmet = program_for(unmet_demands, structure)(theta, t, moved)
         after = jnp.maximum(after, jnp.where(unmet > UNMET_TOLERANCE, unmet, 0.0))
     return _report(described, moved, before, after)
+
+
+LARGEST_OF_START = 8_000
+"""Scalar operations up to which the programs of a traced start are scalar ones: they are called a few times, and their
+derivatives are compiled as well. On array code XLA takes 3 s for them; as machine code, with the gradient of a chain by
+one mass, 1 s for two bodies (2,000 operations), 3 s for five, 9 s for ten, 23 s for twenty (23,000)."""
 
 
 def assemble_now(structure: Structure, theta: Numeric, t: float = 0.0) -> Assembly:

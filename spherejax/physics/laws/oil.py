@@ -148,8 +148,8 @@ class OilHeat(AbstractLaw):
         within 2 % up to the Nahme number beta nu U**2/k = 4, and within 5 % up to 9. Viscosity by pressure is left out:
         it grows by some 2 % per MPa.
 
-    Source: lumped heat balances as in Raimondi and Boyd (1958), ASLE Trans. 1:159-209; the solution across the gap is
-    Nahme's (1940), Ing.-Arch. 11:191-209.
+    Source: lumped heat balances as in Raimondi and Boyd (1958), ASLE Trans. 1:159-209; the solution across the gap:
+    Nahme (1940), Ing.-Arch. 11:191-209.
     """
 
     viscosity: AbstractOilViscosity
