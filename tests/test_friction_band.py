@@ -124,6 +124,18 @@ def test_a_mechanism_with_a_loop_stays_where_a_simulation_stays():
             assert (way < 2e-5) == stays, (end, step, way)
 
 
+@pytest.mark.slow
+def test_derivatives_through_a_loop_are_those_of_differences():
+    def ends(mu):
+        return jnp.stack(sj.studies.friction_band(slider_crank(1.0, mu), CRANK, (0.3, 2.2), samples=39).band(1.5))
+
+    step = 1e-4
+    slopes = jax.jit(jax.jacfwd(ends))(0.3)
+    differences = (ends(0.3 + step) - ends(0.3 - step)) / (2 * step)
+    assert np.all(np.abs(differences) > 1e-3)
+    np.testing.assert_allclose(slopes, differences, rtol=1e-6)
+
+
 def test_what_has_no_band_is_answered_in_words():
     scene = pendulum(dry())
     play = sj.Dry(clearance=1e-4, friction=sj.Threlfall())
