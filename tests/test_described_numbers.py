@@ -92,3 +92,9 @@ def test_of_many_traced_numbers_the_parts_are_said():
     words = eqx.filter_jit(sj.simulate)(scene, TIMES).stats.explanation
     n = np.concatenate([np.ravel(leaf) for leaf in jax.tree.leaves(compile_scene(scene).system)]).size
     assert f"traced: {n} numbers of bodies.coupler, bodies.crank, bodies.rocker" in words
+
+
+@pytest.mark.parametrize("other", [{"mass": 1.0}, 3.0, None])
+def test_numbers_of_something_else_are_refused(other):
+    with pytest.raises(sj.SceneError, match="numbers are those of a scene, or args of"):
+        sj.equations.numbers(other)

@@ -1,5 +1,6 @@
 """Where friction holds a mechanism: closed forms of a pendulum and a block; a loop, by simulation."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -134,6 +135,17 @@ def test_derivatives_through_a_loop_are_those_of_differences():
     differences = (ends(0.3 + step) - ends(0.3 - step)) / (2 * step)
     assert np.all(np.abs(differences) > 1e-3)
     np.testing.assert_allclose(slopes, differences, rtol=1e-6)
+
+
+def test_an_end_that_is_not_known_is_not_a_number():
+    """Beyond its reach a mechanism has no efforts: where the band goes on to there, its end is not a root."""
+    found = sj.studies.friction_band(pendulum(dry()), TURN, (-0.2, 0.2), samples=9)
+    first, last = found.band(0.0)
+    outside = found.positions > last
+    assert np.any(outside)
+    lost = eqx.tree_at(lambda f: f.forward, found, jnp.where(outside, jnp.nan, found.forward))
+    assert lost.band(0.0)[0] == first
+    assert np.isnan(lost.band(0.0)[1])
 
 
 def test_what_has_no_band_is_answered_in_words():

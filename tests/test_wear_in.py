@@ -146,6 +146,7 @@ def test_all_that_is_rubbed_off_is_on_the_maps(worn):
     assert np.all(np.diff(worn.volumes("socket")) > 0)
 
 
+@pytest.mark.slow
 def test_maps_that_lose_something_are_an_error(worn, monkeypatch):
     kept = worn.wear.states[-1]
     module._require_kept(_cycle(worn), kept)
@@ -265,6 +266,23 @@ def test_both_sides_wear():
 def test_wrong_numbers_are_answered(options, said):
     with pytest.raises(sj.SceneError, match=said):
         wear_in(**{"cycles": 10.0, **options})
+
+
+def test_a_ball_that_only_falls_wears_nothing_and_says_how_far_it_is():
+    """Depths are rounding then, and blocks must not be made ever shorter for their errors."""
+    ball = sj.Body(0.2, (1e-5,) * 3, points={"center": (0, 0, 0)})
+    joint = sj.Spherical("ground.cup", "ball.center", sj.Dry(C, normal=sj.Hertz()))
+    falling = sj.Scene({"ball": ball}, {"cup": joint}, ground_points={"cup": (0, 0, 0)})
+    lines = []
+    with pytest.warns(sj.errors.WearWarning, match="Ask for more cells"):
+        found = sj.studies.wear_in(
+            falling, "cup", np.linspace(0, 8e-3, 3), k_socket=K, k_ball=0.0, cycles=10.0, cells=16, degree=1,
+            progress=lines.append,
+        )  # fmt: skip
+    assert found.cycles[-1] == 10.0
+    assert np.max(found.volumes("socket")) < 1e-20
+    assert lines[0] == "the first cycle"
+    assert lines[1] == "0 of 10 cycles, a block of 2.5"
 
 
 def test_wrong_joints_are_answered():

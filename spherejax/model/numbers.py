@@ -135,13 +135,13 @@ def place_at(whole: Scene | System, path: str, studied: str | None = None) -> Pl
 
 def numbers_in(whole: Scene | System) -> tuple[Number, ...]:
     """All numbers of a scene or a system, in the order of its leaves."""
-    found = []
+    numbers = []
     for keys, leaf in jax.tree_util.tree_flatten_with_path(whole)[0]:
         steps = tuple(str(getattr(key, "name", getattr(key, "key", getattr(key, "idx", key)))) for key in keys)
         letter = _letters(np.shape(leaf))
         entries = np.ndindex(np.shape(leaf))
-        found += [Number(".".join([*steps, *map(letter, entry)]), steps, entry) for entry in entries]
-    return tuple(found)
+        numbers += [Number(".".join([*steps, *map(letter, entry)]), steps, entry) for entry in entries]
+    return tuple(numbers)
 
 
 @lru_cache(maxsize=64)

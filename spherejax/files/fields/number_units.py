@@ -9,6 +9,8 @@ from spherejax.files.fields.kinds import fields_of
 from spherejax.files.fields.objects import numbers_in_units
 from spherejax.files.fields.parts import Either, PartField
 from spherejax.files.fields.quantities import Points
+from spherejax.foundations.checks import shown
+from spherejax.foundations.errors import SceneError
 from spherejax.model.numbers import numbers_in, part_at
 from spherejax.model.scene import Scene
 from spherejax.model.system import System
@@ -64,7 +66,12 @@ def numbers(whole: Scene | System) -> list[DescribedNumber]:
 
     Returns:
         All numbers in the order of `jax.tree.leaves`, arrays entry by entry.
+
+    Raises:
+        SceneError: for anything else.
     """
+    if not isinstance(whole, Scene | System):
+        raise SceneError(f"numbers are those of a scene, or args of sj.ode(scene), and not of {shown(whole)}")
     return [
         DescribedNumber(each.name, each.part, unit_at(whole, each.steps), value[each.index] if each.index else value)
         for each in numbers_in(whole)

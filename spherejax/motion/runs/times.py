@@ -67,9 +67,9 @@ STEPS = (
 )
 
 NOT_HERE = {
-    "solver_state": "sj.continue_from(run, ts) goes on from the end of a run",
-    "controller_state": "sj.continue_from(run, ts) goes on from the end of a run",
-    "made_jump": "sj.continue_from(run, ts) goes on from the end of a run",
+    "solver_state": "sj.continue_from(run, ts) continues from the end of a run",
+    "controller_state": "sj.continue_from(run, ts) continues from the end of a run",
+    "made_jump": "sj.continue_from(run, ts) continues from the end of a run",
 }
 """What else diffrax saves, and what there is in its place."""
 

@@ -56,7 +56,8 @@ class FrictionBand(eqx.Module):
             near: a position within the band.
 
         Returns:
-            The two ends; -inf or inf where the band goes on beyond the samples.
+            The two ends; -inf or inf where the band goes on beyond the samples; NaN where it goes on to a position that
+            the mechanism does not reach, or where it jams.
 
         Raises:
             SceneError: for a position where it does not stay; NaN where numbers are traced.
@@ -110,9 +111,10 @@ class FrictionBand(eqx.Module):
         inside, outside = jnp.clip(inside, 0, n - 1), jnp.clip(outside, 0, n - 1)
         # Where it slips by itself: forward, if no effort is needed for that, else backward.
         is_forward = self.forward[outside] < 0
+        is_known = ~jnp.isnan(self.forward[outside] + self.backward[outside])
         pose, memory = self.poses[inside], self.memories[inside]
         ends = self.positions[inside], self.positions[outside]
-        return _root(self.mechanism, self.t, pose, memory, is_forward, *ends)
+        return jnp.where(is_known, _root(self.mechanism, self.t, pose, memory, is_forward, *ends), jnp.nan)
 
 
 @cached_jit(what="the end of a band of friction")

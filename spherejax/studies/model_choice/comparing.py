@@ -31,8 +31,8 @@ from spherejax.studies.model_choice.candidate import (
 )
 from spherejax.studies.model_choice.choice_result import ModelComparison, comparison_of
 from spherejax.studies.model_choice.fitted import Fitted
-from spherejax.studies.model_choice.progress import telling
 from spherejax.studies.model_choice.search import draws_over_ranges, searched
+from spherejax.studies.progress import telling
 from spherejax.studies.random_numbers import Rng, generator
 
 MAX_STEPS = 200_000
@@ -131,7 +131,7 @@ def compare_models(
         check_arguments(name, candidate, own)
     found, begun, seconds = {}, {}, {}
     refused: dict[str, SceneError] = {}
-    with interrupts_kept(), telling(progress) as tell:
+    with interrupts_kept(), telling(progress, "models") as tell:
         task = replace(task, tell=tell)
         for name, candidate in models.items():
             start = time.monotonic()

@@ -11,6 +11,7 @@ around Heun's method for the pressure.
 """
 
 import warnings
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -27,6 +28,7 @@ from spherejax.motion.results.trajectory import Trajectory
 from spherejax.motion.runs.simulate import simulate
 from spherejax.physics.joints.dry import Dry
 from spherejax.physics.laws.depth import LARGEST_DEGREE, HarmonicDepth
+from spherejax.studies.progress import telling
 from spherejax.studies.wear.contacts import contacts_of
 from spherejax.studies.wear.cycles import Rate, Worn, over_cycles
 from spherejax.studies.wear.deposit import Maps
@@ -57,6 +59,9 @@ LARGEST_SHARE = 0.25
 SHORTEST, LONGEST = 0.2, 2.0
 """By which factors a block may become shorter or longer than the one before."""
 
+NEGLIGIBLE = 1e-6
+"""Depth of wear as a share of the clearance, below which the error of a block is judged by this."""
+
 ILL_FITTED = 0.1
 """Misfit of the profiles, as a share of how far the ball goes for the wear, from which it is warned."""
 
@@ -75,6 +80,7 @@ def wear_in(
     degree: int = 8,
     tolerance: float = 0.02,
     largest_block: float = 0.05,
+    progress: bool | Callable[[str], None] = True,
     **options: Any,
 ) -> WearIn:
     """Wear of ball and socket over many cycles, by Archard's law, with a motion that follows the worn surfaces.
@@ -97,8 +103,11 @@ def wear_in(
         foundation: stiffness of the surfaces [N/m^3], as for `sj.wear`; None: matched to Hertz's.
         cells: of each map along each side, as for `sj.wear`; chosen where None.
         degree: L of the harmonics that the motion feels: they resolve 180/L degrees.
-        tolerance: largest error of a block, as a share of the deepest wear at its end.
+        tolerance: largest error of a block, as a share of the deepest wear at its end, or of a millionth of the
+            clearance where no wear is as deep.
         largest_block: by how much a step within a block may deepen any place, as a share of the clearance.
+        progress: shown in terminals and notebooks and not in logs (True), not at all (False), or a function that is
+            called with a line of text. A block takes two runs and more; a hip of a million cycles takes minutes.
         options: of `sj.simulate`.
 
     Returns:
@@ -115,53 +124,56 @@ def wear_in(
     coefficients = check_numbers(joint, k_socket, k_ball, cycles, foundation, cells, largest_block)
     _check(scene, joint, degree, tolerance)
     study = _WearStudy(scene, joint, ts, window, foundation, degree, coefficients[1], options)
-    run = study.run_on(None)
-    run.require_success()
-    model: Any = contact_model(run, joint)
-    contacts = study.contacts(run)
-    if not len(contacts.duration):
-        raise SceneError(f"joint {joint!r}: nothing rubs in the cycle, so nothing wears; choose another window=")
-    n = cells_for(contacts) if cells is None else int(cells)
-    cycle = cycle_of(joint, model, contacts, n, coefficients, shape_of(model, n))
-    checks = checks_of(cycle)
-    here = Worn(0.0, no_wear(n), cycle.rate(no_wear(n)))
-    states, blocks = [here], [WearBlock(None, None, 0.0, 0.0, *_of_motion(cycle))]
-    largest_step = largest_block * float(model.clearance)
-    block, diagnosis, failures = LARGEST_SHARE * cycles, "", 0
-    for tries in range(MOST_TRIES + 1):
-        if here.cycles >= cycles:
-            break
-        if tries == MOST_TRIES:
-            diagnosis = (
-                f"after {MOST_TRIES} blocks {here.cycles:.6g} of {cycles:.6g} cycles were reached, the last in blocks "
-                f"of {block:.3g}: ask for fewer cycles, or for a larger tolerance="
-            )
-            break
-        left = cycles - here.cycles
-        # Four quarters are all: rounding leaves no sliver behind.
-        block = left if left < block * (1 + 1e-9) else block
-        try:
-            tried = _block(study, model, cycle, here, block, largest_step)
-        except _StoppedError as failure:
-            failures += 1
-            if failures > MOST_FAILURES:
-                diagnosis = f"after {here.cycles:.6g} of {cycles:.6g} cycles a block failed: {failure}"
+    with telling(progress, "wear") as tell:
+        tell("the first cycle")
+        run = study.run_on(None)
+        run.require_success()
+        model: Any = contact_model(run, joint)
+        contacts = study.contacts(run)
+        if not len(contacts.duration):
+            raise SceneError(f"joint {joint!r}: nothing rubs in the cycle, so nothing wears; choose another window=")
+        n = cells_for(contacts) if cells is None else int(cells)
+        cycle = cycle_of(joint, model, contacts, n, coefficients, shape_of(model, n))
+        checks = checks_of(cycle)
+        here = Worn(0.0, no_wear(n), cycle.rate(no_wear(n)))
+        states, blocks = [here], [WearBlock(None, None, 0.0, 0.0, *_of_motion(cycle))]
+        largest_step = largest_block * float(model.clearance)
+        block, diagnosis, failures = LARGEST_SHARE * cycles, "", 0
+        for tries in range(MOST_TRIES + 1):
+            if here.cycles >= cycles:
                 break
-            block *= 0.5
-            continue
-        failures = 0
-        if tried.error > tolerance:
-            block *= max(SHORTEST, 0.8 * np.sqrt(tolerance / tried.error))
-            continue
-        at = cycles if block == left else here.cycles + block
-        here = tried.worn._replace(cycles=at)
-        _require_kept(cycle, here)
-        cycle, run = tried.cycle, tried.run
-        states.append(here)
-        blocks.append(tried.told)
-        longer = min(LONGEST, 0.8 * np.sqrt(tolerance / max(tried.error, 1e-6)))
-        block = min(block * longer, LARGEST_SHARE * cycles)
-    remarks = [*remarks_on(cycle, checks, diagnosis), *_on_the_fit(joint, here, blocks)]
+            if tries == MOST_TRIES:
+                diagnosis = (
+                    f"after {MOST_TRIES} blocks {here.cycles:.6g} of {cycles:.6g} cycles were reached, the last in "
+                    f"blocks of {block:.3g}: ask for fewer cycles, or for a larger tolerance="
+                )
+                break
+            left = cycles - here.cycles
+            # Four quarters are all: rounding leaves no sliver behind.
+            block = left if left < block * (1 + 1e-9) else block
+            tell(f"{here.cycles:.4g} of {cycles:.4g} cycles, a block of {block:.3g}")
+            try:
+                tried = _block(study, model, cycle, here, block, largest_step)
+            except _StoppedError as failure:
+                failures += 1
+                if failures > MOST_FAILURES:
+                    diagnosis = f"after {here.cycles:.6g} of {cycles:.6g} cycles a block failed: {failure}"
+                    break
+                block *= 0.5
+                continue
+            failures = 0
+            if tried.error > tolerance:
+                block *= max(SHORTEST, 0.8 * np.sqrt(tolerance / tried.error))
+                continue
+            at = cycles if block == left else here.cycles + block
+            here = tried.worn._replace(cycles=at)
+            _require_kept(cycle, here)
+            cycle, run = tried.cycle, tried.run
+            states.append(here)
+            blocks.append(tried.told)
+            longer = min(LONGEST, 0.8 * np.sqrt(tolerance / max(tried.error, 1e-6)))
+            block = min(block * longer, LARGEST_SHARE * cycles)
+    remarks = [*remarks_on(cycle, checks, diagnosis), *_on_the_fit(cycle, here, blocks)]
     maps = result_of(run, cycle, states, checks, diagnosis, remarks)
     for text in remarks:
         warnings.warn(text, WearWarning, stacklevel=2)
@@ -234,7 +246,9 @@ def _block(
 
     second = _extrapolated(mean_rate, here.depth, block, largest_step)
     apart = max(float(jnp.max(jnp.abs(a - b))) for a, b in zip(first.depth, second.depth, strict=True))
-    error = apart / max(float(jnp.max(each)) for each in second.depth)
+    # Wear of a millionth of the clearance changes no motion; where next to nothing rubs, depths are rounding.
+    deepest = max(float(jnp.max(each)) for each in second.depth)
+    error = apart / max(deepest, NEGLIGIBLE * float(model.clearance))
     end, run, profiles = _simulated(study, model, after, second.depth)
     volume = here.volume[0] + second.volume[0], here.volume[1] + second.volume[1]
     worn = Worn(0.0, second.depth, end.rate(second.depth), volume)
@@ -313,12 +327,12 @@ def _require_kept(cycle: RubbingCycle, worn: Worn) -> None:
             )
 
 
-def _on_the_fit(joint: str, worn: Worn, blocks: list[WearBlock]) -> list[str]:
+def _on_the_fit(cycle: RubbingCycle, worn: Worn, blocks: list[WearBlock]) -> list[str]:
     far = abs(worn.rate.approach)
     off = blocks[-1].misfit
-    if off <= ILL_FITTED * far:
+    if off <= max(ILL_FITTED * far, NEGLIGIBLE * float(cycle.geometry.clearance)):
         return []
     return [
-        f"wear of joint {joint!r}: the profiles that the motion feels are off by {off:.3g} m in the contacts, where "
-        f"the ball goes {far:.3g} m farther for the wear. Ask for a higher degree="
+        f"wear of joint {cycle.joint!r}: the profiles that the motion feels are off by {off:.3g} m in the contacts, "
+        f"where the ball goes {far:.3g} m farther for the wear. Ask for a higher degree="
     ]

@@ -1,4 +1,4 @@
-"""How far a comparison of models is: a line in terminals and notebooks, nothing in logs."""
+"""How far a study is that says so in words: a line in terminals and notebooks, nothing in logs."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -7,7 +7,7 @@ from spherejax.foundations.terminals import console, is_watched
 
 
 @contextmanager
-def telling(progress: bool | Callable[[str], None]) -> Iterator[Callable[[str], None]]:
+def telling(progress: bool | Callable[[str], None], title: str) -> Iterator[Callable[[str], None]]:
     """A function that shows a line in place of the last one."""
     if callable(progress):
         yield progress
@@ -18,5 +18,5 @@ def telling(progress: bool | Callable[[str], None]) -> Iterator[Callable[[str], 
     from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
     with Progress(SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn(), console=console()) as shown:
-        task = shown.add_task("models", total=None)
+        task = shown.add_task(title, total=None)
         yield lambda line: shown.update(task, description=line)
