@@ -2,6 +2,7 @@
 
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -19,19 +20,16 @@ def runner(scene: sj.Scene) -> Callable[[float, np.ndarray], Positions]:
     Raises:
         NoCounterpartError: for a joint or force that this translator does not know.
     """
-    start = start_of(scene)
-    if start.system.forces:
-        raise NoCounterpartError(f"forces {', '.join(start.system.forces)}")
+    tree = _tree_of(scene)
 
     def run(step: float, ts: np.ndarray) -> Positions:
         import mujoco
 
-        tree = _Tree(scene, start)
         model = mujoco.MjModel.from_xml_string(_document(tree, step))
         state = mujoco.MjData(model)
         _set_velocities(model, state, tree)
         mujoco.mj_forward(model, state)
-        index = {name: mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name) for name in start.system.bodies}
+        index = {name: mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name) for name in tree.start.system.bodies}
         kept = {name: [] for name in index}
         for t in ts:
             while state.time < t - 0.5 * step:
@@ -42,6 +40,24 @@ def runner(scene: sj.Scene) -> Callable[[float, np.ndarray], Positions]:
         return {name: np.array(rows) for name, rows in kept.items()}
 
     return run
+
+
+def model_of(scene: sj.Scene, step: float) -> Any:
+    """The `mujoco.MjModel` of a scene that starts at rest, with a step size [s].
+
+    Raises:
+        NoCounterpartError: as `runner`.
+    """
+    import mujoco
+
+    return mujoco.MjModel.from_xml_string(_document(_tree_of(scene), step))
+
+
+def _tree_of(scene: sj.Scene) -> "_Tree":
+    start = start_of(scene)
+    if start.system.forces:
+        raise NoCounterpartError(f"forces {', '.join(start.system.forces)}")
+    return _Tree(scene, start)
 
 
 class _Tree:
