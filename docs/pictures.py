@@ -290,6 +290,76 @@ def tilting() -> Figure:
     return figure
 
 
+def lined_bearing() -> Figure:
+    """A journal whose load grows, on liners of three stiffnesses: place, and pressure round the bearing at the end."""
+    radius, length, clearance, viscosity, speed = 0.02, 0.02, 1e-4, 0.05, 300.0
+    full = 500.0
+    liners = {
+        "steel, 2 mm": sj.laws.WinklerLiner(2e11, 0.3, 2e-3),
+        "polymer, 1 GPa, 2 mm": sj.laws.WinklerLiner(1e9, 0.4, 2e-3),
+        "rubber, 50 MPa, 2 mm": sj.laws.WinklerLiner(5e7, 0.45, 2e-3),
+    }
+    ts = np.linspace(0.0, 4.0, 161)
+    figure, (left, right) = plt.subplots(1, 2, figsize=(9.2, 3.4), layout="constrained")
+    for (name, liner), color in zip(liners.items(), LINES[1:4], strict=True):
+        model = sj.Lubricated(
+            clearance,
+            viscosity,
+            socket_radius=radius,
+            film=sj.laws.LinedBearing(length, liner),
+            conformity=sj.laws.JohnsonCylinder(length),
+            e_h0=0.0,
+            e_h1=0.0,
+        )
+        shaft = sj.Body(1.0, (1e-4, 1e-4, 1e-4), angular_velocity=(0, 0, speed))
+        motor = sj.RotationDriver(
+            ("ground", "shaft"), (0, 0, 1), sj.functions.Linear(speed)
+        )
+        bearing = sj.Revolute(("ground", "shaft"), (0, 0, 0), (0, 0, 1), model)
+        push = sj.AppliedWrench(
+            "shaft",
+            force=lambda t: jnp.stack([0.0 * t, -full * (0.05 + t) / 4.05, 0.0 * t]),
+        )
+        scene = sj.Scene(
+            {"shaft": shaft},
+            {"bearing": bearing, "motor": motor},
+            {"push": push},
+            gravity=(0, 0, 0),
+        )
+        run = sj.simulate(scene, ts, rtol=1e-6, throw=True)
+        e = np.linalg.norm(np.asarray(run.eccentricity("bearing")), axis=1) / clearance
+        load = full * (0.05 + ts) / 4.05
+        left.plot(load[8:], e[8:], color=color, linewidth=1.4, label=name)
+        memory = run.memory("bearing")
+        w = np.array([float(memory[f"deflection_{i}"][-1]) for i in range(32)])
+        pressure = np.maximum(float(liner.foundation()) * w, 0.0) / 1e6
+        axes = np.asarray(run.system.spherical("bearing").frame)
+        angles = np.degrees(2 * np.pi * np.arange(32) / 32)
+        turn = np.degrees(np.arctan2(axes[1, 0], axes[0, 0]))
+        places = (angles + turn + 90.0 + 180.0) % 360.0 - 180.0
+        order = np.argsort(places)
+        right.plot(
+            places[order],
+            pressure[order],
+            color=color,
+            linewidth=1.4,
+            marker=".",
+            markersize=4,
+        )
+    left.set(xlabel="load [N]", ylabel="eccentricity ratio [-]", xlim=(0, full))
+    left.set_ylim(0, 1)
+    left.legend(fontsize=8, frameon=False, loc="lower right")
+    right.set(
+        xlabel="place round the bearing, from the load [°]",
+        ylabel="pressure in the middle [MPa]",
+        xlim=(-180, 180),
+        xticks=range(-180, 181, 60),
+    )
+    right.set_ylim(bottom=0)
+    right.set_title(f"at {full:.0f} N", fontsize=9, loc="left")
+    return figure
+
+
 def warm_oil() -> Figure:
     """A loaded journal whose oil stays cold, warms, or warms and is cooled; and where the balance of heat ends."""
     radius, length, clearance, viscosity, speed, load = (
@@ -924,6 +994,7 @@ PICTURES: dict[str, Callable[[], Figure | Image.Image]] = {
     "piston": piston,
     "tilting": tilting,
     "warm_oil": warm_oil,
+    "lined_bearing": lined_bearing,
     "friction": friction,
     "joint_friction": joint_friction,
     "rubber": rubber,

@@ -37,6 +37,7 @@ from .physics.laws.full_film import (
     shear_factors,
 )
 from .physics.laws.impact import exact_hysteresis_factor, maximum_penetration, realized_restitution
+from .physics.laws.lined import LinedBearing
 from .physics.laws.material import Material, generalized_stiffness
 from .physics.laws.normal import (
     AbstractHysteresisLaw,
@@ -91,6 +92,7 @@ __all__ = [
     "HuntCrossleyDissipation",
     "JohnsonCylinder",
     "LankaraniNikravesh",
+    "LinedBearing",
     "LongBearing",
     "LuGre",
     "Material",

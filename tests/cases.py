@@ -113,6 +113,11 @@ JOURNALS = {
         conformity=_CYLINDER,
         heat=sj.laws.OilHeat(sj.laws.ReynoldsViscosity(0.03), 0.5, 2.0, 1.0),
     ),
+    "lined": sj.Lubricated(
+        clearance=C,
+        film=sj.laws.LinedBearing(0.02, sj.laws.WinklerLiner(1e8, 0.4, 1e-3), points=16),
+        conformity=_CYLINDER,
+    ),
     "sommerfeld": sj.Lubricated(
         clearance=C, film=sj.laws.ShortBearing(0.02), boundary=sj.Sommerfeld(), conformity=_CYLINDER
     ),

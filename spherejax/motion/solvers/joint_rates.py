@@ -124,7 +124,8 @@ class JointActions(NamedTuple):
     Attributes:
         decays: m^-1 C [1/s], with C = -df/d(e_dot), and m^-1 the relative acceleration of ball and socket for a unit
             force between them, under the constraints, shape (n, 3, 3).
-        squares: m^-1 K [1/s^2], with K = -df/de, and what the deflections that a bushing remembers add to it at once.
+        squares: m^-1 K [1/s^2], with K = -df/de, and what the deflections that a bushing or a liner remembers add to it
+            at once.
         forgetting: rate [1/s] at which these deflections fade, at most, with the ball as fast as it gets when it is let
             go into the rubber, shape (n,).
     """
@@ -156,7 +157,7 @@ def joint_actions(system: System, t: Scalar, y: Float[Array, " size"]) -> JointA
             return response.force, response.memory_rate
 
         place = distance * outward
-        fades = bool(joint.model.memory) and not joint.model.detects_onsets
+        fades = joint.model.memory_fades
         mobility = _mobility(system, motions, constraints, masses, joint)
         by = (0, 1, 2) if fades else (0, 1)
         (stiffness, damping, *by_memory), slopes = jax.jacfwd(answer, by)(place, CREEP * outward, memory)

@@ -138,6 +138,11 @@ class AbstractSphericalModel(eqx.Module):
         return ()
 
     @property
+    def memory_fades(self) -> bool:
+        """Whether what is remembered fades by itself, at rates that limit explicit steps (static)."""
+        return bool(self.memory) and not self.detects_onsets
+
+    @property
     def has_surfaces(self) -> bool:
         """Whether the ball has a `clearance` in its socket, and presses in what `surfaces` describes (static)."""
         return False

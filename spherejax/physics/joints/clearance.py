@@ -4,6 +4,7 @@ from typing import Self
 
 import equinox as eqx
 import numpy as np
+from jaxtyping import Array, Float
 
 from spherejax.foundations.checks import Requirement, is_concrete
 from spherejax.foundations.forms import real_number
@@ -15,6 +16,7 @@ from spherejax.physics.joints.contact import (
     contact_crossing,
     surface_contact,
 )
+from spherejax.physics.kinematics import RelativeMotion
 from spherejax.physics.laws.conformity import LARGEST_HERTZIAN_RATIO, AbstractConformity
 from spherejax.physics.laws.friction import AbstractFrictionLaw
 from spherejax.physics.laws.material import Material
@@ -117,6 +119,11 @@ class AbstractClearanceModel(AbstractSphericalModel):
     @property
     def offset_ratio(self) -> Scalar | None:
         """By which share of the clearance a film is thicker than its gap; None without a film."""
+        return None
+
+    def film_range_share(self, motion: RelativeMotion, memory: Float[Array, " n_memory"]) -> Scalar | None:
+        """How far out the ball is, as a share of what its film is for; None for any."""
+        del motion, memory
         return None
 
     def requirements_of(self, *, is_bearing: bool) -> list[Requirement]:

@@ -71,6 +71,10 @@ def _rates_of(film: FilmAction) -> list[Float[Array, " n"]]:
     return [] if film.memory_rate is None else [film.memory_rate]
 
 
+def _with_store_of(film: FilmAction, energy: Scalar) -> Scalar:
+    return energy if film.stored_energy is None else energy + film.stored_energy
+
+
 def _share_of(clearance: Any, share: float) -> Any:
     """A length as a share of the clearance [m]; 0 where the clearance is no number, which the checks of a scene name.
 
@@ -166,10 +170,15 @@ class Lubricated(AbstractClearanceModel):
 
     @property
     def effects(self):
-        """Elastic contact, then what the normal law adds to it, then friction, then the warmth of the oil."""
-        film = {RadialFilm: "radial film", FullFilm: "full film"}.get(type(self.film), type(self.film).__name__)
+        """Elastic contact, what the normal law adds to it, friction, the liner of the film, the warmth of the oil."""
         cold = eqx.tree_at(lambda m: m.heat, self, None, is_leaf=lambda leaf: leaf is None)
-        effects = contact_effects(cold, f"{film} ({type(self.boundary).__name__}) and elastic contact")
+        rigid = self.film.rigid()
+        base = cold if rigid is None else eqx.tree_at(lambda m: m.film, cold, rigid)
+        kind = type(base.film)
+        film = {RadialFilm: "radial film", FullFilm: "full film"}.get(kind, kind.__name__)
+        effects = contact_effects(base, f"{film} ({type(self.boundary).__name__}) and elastic contact")
+        if rigid is not None:
+            effects = (*effects, Effect(f"elastic liner ({len(self.film.memory)} points)", cold))
         if self.heat is None:
             return effects
         return (*effects, Effect(f"warm oil ({type(self.heat.viscosity).__name__})", self))
@@ -209,6 +218,11 @@ class Lubricated(AbstractClearanceModel):
         return (*super().memory, *film, *(() if self.heat is None else self.heat.memory))
 
     @property
+    def memory_fades(self) -> bool:
+        """Where the film has a liner, whose deflection does."""
+        return self.film.stores_energy
+
+    @property
     def offset_ratio(self) -> Scalar:
         """e_h1/c, by which the film's offset biases an eccentricity; above `films.LARGEST_OFFSET_RATIO` a run warns."""
         return jnp.asarray(self.e_h1 / self.clearance)
@@ -224,7 +238,7 @@ class Lubricated(AbstractClearanceModel):
         weight = hybrid_weight(safe_norm(motion.eccentricity), self.clearance, self.e_h0)
         contact = contact_forces(motion, memory, surfaces, self.normal, self.friction, weight)
         film = self.film.action(self._film_motion(motion, memory), self._film_gap(memory))
-        share = 1 - weight
+        share = self._film_share(weight)
         ball_moment, socket_moment = contact_moments(motion, surfaces, contact.friction, contact.normal_force)
         penetration = self.penetration(motion)
         return Response(
@@ -234,7 +248,7 @@ class Lubricated(AbstractClearanceModel):
             memory_rate=jnp.concatenate(
                 [jnp.zeros(1), contact.bristle_rate, *_rates_of(film), *self._warming_rate(film, share, memory)]
             ),
-            elastic_energy=self._elastic_energy(penetration) + contact.bristle_energy,
+            elastic_energy=_with_store_of(film, self._elastic_energy(penetration) + contact.bristle_energy),
             parts={
                 "penetration": penetration,
                 "normal_force": contact.normal_force,
@@ -250,8 +264,8 @@ class Lubricated(AbstractClearanceModel):
         )
 
     def stored_energy(self, motion, memory):
-        """Of the pressed surfaces alone, where there are no bristles: a film stores nothing."""
-        if has_bristles(self) or type(self).respond is not Lubricated.respond:
+        """Of the pressed surfaces, and of bristles and of a film that stores some, where there are any."""
+        if has_bristles(self) or self.film.stores_energy or type(self).respond is not Lubricated.respond:
             return super().stored_energy(motion, memory)
         return self._elastic_energy(self.penetration(motion))
 
@@ -261,7 +275,15 @@ class Lubricated(AbstractClearanceModel):
         if peak is None:
             return {}
         weight = hybrid_weight(safe_norm(motion.eccentricity), self.clearance, self.e_h0)
-        return {"film_pressure": (1 - weight) * peak.height, "film_pressure_place": peak.place}
+        return {"film_pressure": self._film_share(weight) * peak.height, "film_pressure_place": peak.place}
+
+    def film_range_share(self, motion: RelativeMotion, memory) -> Scalar | None:
+        """How far out the ball is, as a share of what the film is for; None for any."""
+        return self.film.range_share(self._film_motion(motion, memory), self._film_gap(memory))
+
+    def _film_share(self, weight: Scalar) -> Scalar:
+        """Of the film's force: what contact leaves, or all of it where the film stores energy."""
+        return jnp.ones(()) if self.film.stores_energy else 1 - weight
 
     def _film_motion(self, motion: RelativeMotion, memory) -> FilmMotion:
         return FilmMotion(
@@ -271,6 +293,7 @@ class Lubricated(AbstractClearanceModel):
             motion.ball_angular_velocity,
             motion.socket_rotation[:, 2],
             memory[len(super().memory) :][: len(self.film.memory)] if self.film.memory else None,
+            motion.socket_rotation,
         )
 
     def _film_gap(self, memory) -> FilmGap:

@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 
 from spherejax.foundations.checks import Requirement
 from spherejax.foundations.numerics import radial_projection, safe_norm
-from spherejax.foundations.types import Number, Scalar, Vector3
+from spherejax.foundations.types import Matrix3, Number, Scalar, Vector3
 from spherejax.physics.laws.base import AbstractLaw
 from spherejax.physics.laws.film import (
     MAXIMUM_ECCENTRICITY_RATIO,
@@ -51,6 +51,7 @@ class FilmMotion(NamedTuple):
         socket_spin, ball_spin: angular velocities of both [rad/s].
         axis: of a bearing, unit length; None for a ball.
         memory: what the film remembers, as its `memory` lists it; None for one that lists nothing.
+        socket_axes: axes of the socket, z along a bearing, as columns in world axes; None where nobody asks for them.
     """
 
     e: Vector3
@@ -59,6 +60,7 @@ class FilmMotion(NamedTuple):
     ball_spin: Vector3
     axis: Vector3 | None = None
     memory: Float[Array, " n"] | None = None
+    socket_axes: Matrix3 | None = None
 
 
 class FilmAction(NamedTuple):
@@ -68,9 +70,10 @@ class FilmAction(NamedTuple):
         force: on the ball, at its center [N]; the socket receives the opposite at its own center.
         ball_moment: on the ball about its center [N m].
         socket_moment: on the socket about its center [N m].
-        pressure_power: absorbed by the pressure [W], not negative.
-        shear_power: absorbed by the shear of the oil [W], not negative.
+        pressure_power: dissipated by the flow of the oil under pressure [W], not negative.
+        shear_power: dissipated by the shear of the oil [W], not negative.
         memory_rate: rates of what the film remembers; None for one that lists nothing.
+        stored_energy: of a film that stores some [J], as by a liner; None for others.
     """
 
     force: Vector3
@@ -79,6 +82,7 @@ class FilmAction(NamedTuple):
     pressure_power: Scalar
     shear_power: Scalar
     memory_rate: Float[Array, " n"] | None = None
+    stored_energy: Scalar | None = None
 
 
 class AbstractFilm(AbstractLaw):
@@ -97,6 +101,23 @@ class AbstractFilm(AbstractLaw):
         It comes with the motion, and the action brings its rates.
         """
         return ()
+
+    @property
+    def stores_energy(self) -> bool:
+        """Whether the film gives back some of what it takes (static), and says by its action how much it stores.
+
+        Such a film acts in full where dry contact begins, beside it: were its force taken away by the share of the
+        contact, as that of others is, it would not give back what it took.
+        """
+        return False
+
+    def rigid(self) -> "AbstractFilm | None":
+        """The film between surfaces that do not give way, for tables of effects; None for one that has no other."""
+        return None
+
+    def range_share(self, motion: FilmMotion, gap: FilmGap) -> Scalar | None:
+        """How far out the ball is, as a share of what the film is for: a run warns beyond 1. None for any."""
+        return None
 
     @abc.abstractmethod
     def action(self, motion: FilmMotion, gap: FilmGap) -> FilmAction:

@@ -1,0 +1,399 @@
+"""The film of a bearing with an elastic liner: against Reynolds' equation on a grid, exact series, balances, runs."""
+
+import math
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.sparse as sparse
+from scipy.integrate import simpson
+from scipy.sparse.linalg import spsolve
+
+import spherejax as sj
+from spherejax.physics.kinematics import RelativeMotion
+from spherejax.physics.laws.films import FilmGap, FilmMotion
+
+RADIUS, LENGTH, CLEARANCE, VISCOSITY, SPEED = 0.02, 0.02, 1e-4, 0.05, 300.0
+AXES = jnp.eye(3)
+LINER = sj.laws.WinklerLiner(1e9, 0.4, 2e-3)
+GAP = FilmGap(CLEARANCE, RADIUS, VISCOSITY, 0.0, sj.Guembel())
+PRESSURE = 12 * VISCOSITY * SPEED / 2 * RADIUS**2 / CLEARANCE**2
+"""The unit of the pressure on the grid [Pa]."""
+
+
+def liner_of(compliance):
+    """A liner that the unit of pressure deflects by so many clearances; E = k_w t (1 + nu)(1 - 2 nu)/(1 - nu)."""
+    foundation = PRESSURE / (compliance * CLEARANCE)
+    return sj.laws.WinklerLiner(foundation * 2e-3 * 1.4 * 0.2 / 0.6, 0.4, 2e-3)
+
+
+def on_grid(eps, whole, slenderness, around=180, along=18):
+    """Load [R L times the unit of pressure] of a steadily turning journal, and its largest pressure: Reynolds' equation
+    in both directions with a deflection at each point, and no negative pressure (an LCP).
+
+        d/da (H**3 dP/da - H) + (2 R/L)**2 d/ds (H**3 dP/ds) = 0 where P > 0,    H = 1 - eps cos(a) + whole P
+
+    by Newton's method, with more and more of the compliance.
+    """
+    angles, da, ds = 2 * np.pi * (np.arange(around) + 0.5) / around, 2 * np.pi / around, 1 / along
+    stretch = 1 / slenderness**2
+    rigid = np.repeat((1 - eps * np.cos(angles))[:, None], along, 1)
+    index = np.arange(around * along).reshape(around, along)
+    pressure = np.zeros((around, along))
+    change, compliances = np.inf, [0.03 * whole, 0.2 * whole, whole]
+    for _ in range(120):
+        compliance = compliances[0]
+        gap = rigid + compliance * pressure
+        round_gap, round_slope = 0.5 * (gap + np.roll(gap, -1, 0)), (np.roll(pressure, -1, 0) - pressure) / da
+        axial_gap, axial_slope = 0.5 * (gap[:, 1:] + gap[:, :-1]), (pressure[:, 1:] - pressure[:, :-1]) / ds
+        flow, axial = round_gap**3 * round_slope - round_gap, stretch * axial_gap**3 * axial_slope
+        balance = (flow - np.roll(flow, 1, 0)) / da
+        balance[:, :-1] += axial / ds
+        balance[:, 1:] -= axial / ds
+        end = stretch * rigid[:, 0] ** 3 / (ds / 2) / ds
+        balance[:, -1] -= end * pressure[:, -1]
+        entries = []
+
+        def link(i, j, by_i, by_j, entries=entries):
+            for row, column, value in ((i, i, by_i), (i, j, by_j), (j, i, -by_i), (j, j, -by_j)):
+                entries.append((row.ravel(), column.ravel(), value.ravel()))
+
+        bend = 1.5 * compliance * round_gap**2 * round_slope - 0.5 * compliance
+        link(index, np.roll(index, -1, 0), (bend - round_gap**3 / da) / da, (bend + round_gap**3 / da) / da)
+        bend = 1.5 * compliance * axial_gap**2 * axial_slope
+        link(
+            index[:, :-1],
+            index[:, 1:],
+            stretch * (bend - axial_gap**3 / ds) / ds,
+            stretch * (bend + axial_gap**3 / ds) / ds,
+        )
+        entries.append((index[:, -1], index[:, -1], -end))
+        rows, columns, values = (np.concatenate(part) for part in zip(*entries, strict=True))
+        slope = sparse.csr_matrix((values, (rows, columns)), (index.size, index.size))
+        empty = (-slope.diagonal() * pressure.ravel()) < -balance.ravel()
+        rest = np.where(empty, pressure.ravel(), balance.ravel())
+        matrix = sparse.diags_array(1.0 * ~empty) @ slope + sparse.diags_array(1.0 * empty)
+        step = spsolve(matrix.tocsc(), -rest).reshape(around, along)
+        pressure, change = pressure + step, np.abs(step).max()
+        if change < 1e-10 * np.abs(pressure).max():
+            if len(compliances) == 1:
+                break
+            del compliances[0]
+    assert change < 1e-9 * np.abs(pressure).max()
+    assert pressure.min() > -1e-9
+    arms = np.stack([np.cos(angles), np.sin(angles)])
+    return arms @ pressure.sum(1) * da * ds, pressure.max()
+
+
+def moving(memory, e=(0.0, 0.0), rate=(0.0, 0.0), spins=(0.0, 0.0), axes=AXES):
+    axis = axes[:, 2]
+    plane = [v[0] * axes[:, 0] + v[1] * axes[:, 1] for v in (e, rate)]
+    return FilmMotion(*plane, spins[0] * axis, spins[1] * axis, axis, memory, axes)
+
+
+def steady(film, e, gap=GAP):
+    """Deflections of a journal that turns steadily at a place, by Newton's method."""
+
+    @jax.jit
+    def rates(w):
+        return film.action(moving(w, e, spins=(0.0, SPEED)), gap).memory_rate
+
+    w, slope = np.zeros(film.points), jax.jit(jax.jacfwd(rates))
+    step = np.ones(1)
+    for _ in range(60):
+        step = np.linalg.solve(slope(w), -rates(w))
+        w = w + step
+        if np.abs(step).max() < 1e-10 * np.abs(w).max():
+            break
+    assert np.abs(step).max() < 1e-9 * np.abs(w).max()
+    return film.action(moving(jnp.asarray(w), e, spins=(0.0, SPEED)), gap), w
+
+
+def load_of(action, length):
+    return -np.asarray(action.force)[:2] / (PRESSURE * RADIUS * length)
+
+
+# Against the grid
+
+
+@pytest.mark.parametrize(
+    ("slenderness", "eps", "compliance", "share", "tolerance"),
+    [
+        (0.5, 0.3, 0.3, 0.996, 0.01),
+        (0.5, 0.5, 0.1, 0.998, 0.01),
+        (0.5, 0.7, 0.3, 0.902, 0.02),
+        (0.5, 0.8, 0.1, 0.900, 0.04),
+        (0.5, 0.8, 0.3, 0.722, 0.04),
+        (0.5, 0.9, 0.1, 0.583, 0.10),
+        (1.0, 0.5, 0.1, 0.985, 0.01),
+        (1.0, 0.7, 0.1, 0.937, 0.035),
+        (0.25, 0.7, 1.0, 0.881, 0.02),
+    ],
+)
+def test_load_and_direction_are_those_of_a_fine_grid(slenderness, eps, compliance, share, tolerance):
+    """Of 32 points with one parabola each; the load of the rigid bearing would be wrong by 1 - share."""
+    length = 2 * RADIUS * slenderness
+    film = sj.laws.LinedBearing(length, liner_of(compliance))
+    action, _ = steady(film, (eps * CLEARANCE, 0.0))
+    load = load_of(action, length)
+    expected, highest = on_grid(eps, compliance, slenderness)
+    hard, _ = on_grid(eps, 0.0, slenderness)
+    assert np.linalg.norm(load) == pytest.approx(np.linalg.norm(expected), rel=tolerance)
+    turned = math.atan2(load[1], load[0]) - math.atan2(expected[1], expected[0])
+    assert abs(turned) < 0.03
+    assert np.linalg.norm(expected) / np.linalg.norm(hard) == pytest.approx(share, abs=0.01)
+    assert compliance * highest > 0.01
+
+
+def test_the_load_hardly_depends_on_the_points_and_on_where_they_are():
+    loads = []
+    for points, angle in ((24, 0.0), (32, 0.0), (32, 0.07), (64, 0.0), (64, 0.03)):
+        e = 0.7 * CLEARANCE * np.array([math.cos(angle), math.sin(angle)])
+        loads.append(np.linalg.norm(steady(sj.laws.LinedBearing(LENGTH, LINER, points), e)[0].force))
+    np.testing.assert_allclose(loads, loads[-1], rtol=0.012)
+
+
+def test_a_stiff_liner_leaves_the_rigid_bearing():
+    """Ocvirk's load where the bearing is short; and Reynolds' of the length where it is not."""
+    hard = sj.laws.WinklerLiner(2e13, 0.4, 1e-3)
+    for slenderness, tolerance in ((0.05, 0.01), (0.1, 0.02)):
+        length = 2 * RADIUS * slenderness
+        for eps in (0.3, 0.6):
+            e = (eps * CLEARANCE, 0.0)
+            lined = steady(sj.laws.LinedBearing(length, hard, 64), e)[0]
+            short = sj.laws.ShortBearing(length).action(moving(None, e, spins=(0.0, SPEED)), GAP)
+            np.testing.assert_allclose(lined.force, short.force, atol=tolerance * float(jnp.linalg.norm(short.force)))
+            np.testing.assert_allclose(lined.ball_moment, short.ball_moment, rtol=1e-3, atol=1e-12)
+    expected, _ = on_grid(0.6, 0.0, 1.0)
+    load = load_of(steady(sj.laws.LinedBearing(2 * RADIUS, hard, 64), (0.6 * CLEARANCE, 0.0))[0], 2 * RADIUS)
+    assert np.linalg.norm(load) == pytest.approx(np.linalg.norm(expected), rel=0.01)
+
+
+def test_small_vibrations_have_the_impedance_of_the_exact_series():
+    """A concentric journal in a full film: w = sum_j w_j cos(a) cos((2 j + 1) pi z/L), each with its own decay."""
+    gap = GAP._replace(boundary=sj.Sommerfeld())
+    film = sj.laws.LinedBearing(LENGTH, LINER, 16)
+
+    def answer(w, v):
+        action = film.action(moving(w, rate=(v, 0.0)), gap)
+        return action.memory_rate, action.force[0]
+
+    rates, forces = jax.jacfwd(answer, (0, 1))(jnp.zeros(16), 0.0)
+    decay, driven = (np.asarray(part) for part in rates)
+    by_w, by_v = (np.asarray(part) for part in forces)
+    orders = 2 * np.arange(2000) + 1
+    foundation = float(LINER.foundation())
+    fades = foundation * CLEARANCE**3 / (12 * VISCOSITY) * (1 / RADIUS**2 + (orders * math.pi / LENGTH) ** 2)
+    shares = (4 / (math.pi * orders)) ** 2 / 2
+    for hertz, tolerance in ((10.0, 0.02), (1e3, 0.02), (1e4, 0.1), (1e6, 0.17)):
+        omega = 2 * math.pi * hertz
+        found = by_w @ np.linalg.solve(1j * omega * np.eye(16) - decay, driven) + by_v
+        exact = -foundation * RADIUS * LENGTH * math.pi * np.sum(shares / (1j * omega + fades))
+        assert abs(found - exact) < tolerance * abs(exact)
+
+
+# Balances
+
+
+def random_state(seed, suction):
+    r = np.random.default_rng(seed)
+    angle = r.uniform(0, 2 * np.pi)
+    turn = np.linalg.qr(r.normal(size=(3, 3)))[0]
+    turn = turn * np.sign(np.linalg.det(turn))
+    w = jnp.asarray(r.normal(scale=2e-6 if suction else 1e-5, size=32))
+    e = CLEARANCE * r.uniform(0, 0.9) * np.array([np.cos(angle), np.sin(angle)])
+    return moving(w, e, r.normal(scale=0.05, size=2), r.normal(scale=200.0, size=2), jnp.asarray(turn))
+
+
+@pytest.mark.parametrize("boundary", [sj.Guembel(), sj.Sommerfeld()], ids=["pressure", "suction"])
+def test_power_goes_into_the_liner_or_is_dissipated_and_angular_momentum_stays(boundary):
+    film, gap = sj.laws.LinedBearing(LENGTH, LINER), GAP._replace(boundary=boundary)
+    act = jax.jit(lambda motion: film.action(motion, gap))
+    for seed in range(20):
+        motion = random_state(seed, boundary.bears_suction)
+        action = act(motion)
+        assert action.pressure_power > 0
+        assert action.shear_power > 0
+
+        def stored(w, motion=motion):
+            return film.action(motion._replace(memory=w), gap).stored_energy
+
+        given = -(action.force @ motion.e_rate)
+        given -= action.ball_moment @ motion.ball_spin + action.socket_moment @ motion.socket_spin
+        _, into = jax.jvp(stored, (motion.memory,), (action.memory_rate,))
+        taken = [float(into), float(action.pressure_power), float(action.shear_power)]
+        assert float(given) == pytest.approx(sum(taken), rel=1e-11, abs=1e-11 * max(map(abs, taken)))
+        about_socket = jnp.cross(motion.e, action.force) + action.ball_moment + action.socket_moment
+        np.testing.assert_allclose(about_socket, 0.0, atol=1e-12 * float(jnp.linalg.norm(action.ball_moment)))
+
+
+def test_a_pair_that_turns_as_one_feels_nothing():
+    e = jnp.array([0.5 * CLEARANCE, 0.0])
+    motion = moving(jnp.zeros(32), e, 50.0 * jnp.array([-e[1], e[0]]), (50.0, 50.0))
+    action = sj.laws.LinedBearing(LENGTH, LINER).action(motion, GAP)
+    np.testing.assert_allclose(action.memory_rate, 0.0, atol=1e-16)
+    np.testing.assert_allclose(action.force, 0.0)
+    np.testing.assert_allclose(action.ball_moment, 0.0, atol=1e-15)
+
+
+# Runs
+
+
+def model_of(liner=LINER, boundary=None, points=16, **options):
+    return sj.Lubricated(
+        CLEARANCE,
+        VISCOSITY,
+        socket_radius=RADIUS,
+        film=sj.laws.LinedBearing(LENGTH, liner, points),
+        boundary=boundary,
+        conformity=sj.laws.JohnsonCylinder(LENGTH),
+        **options,
+    )
+
+
+def journal(model, load=400.0, driven=True, velocity=(0.0, 0.0, 0.0)):
+    """A shaft of 1 kg that turns at a given speed, or freely."""
+    shaft = sj.Body(1.0, (1e-4, 1e-4, 1e-4), velocity=velocity, angular_velocity=(0.0, 0.0, SPEED))
+    joints = {"bearing": sj.Revolute(("ground", "shaft"), (0, 0, 0), (0, 0, 1), model, starts_concentric=driven)}
+    if driven:
+        joints["motor"] = sj.RotationDriver(("ground", "shaft"), (0, 0, 1), sj.functions.Linear(SPEED))
+    return sj.Scene({"shaft": shaft}, joints, gravity=(0.0, -load, 0.0))
+
+
+@pytest.fixture(scope="module")
+def loaded():
+    return sj.simulate(journal(model_of(e_h0=0.0, e_h1=0.0)), [0.0, 0.1, 0.2], rtol=1e-8)
+
+
+def test_a_run_comes_to_the_place_that_bears_the_load(loaded):
+    """There the steady film, by Newton's method, bears the weight; the same scene without a liner stands elsewhere."""
+    assert loaded.succeeded
+    place = np.asarray(loaded.eccentricity("bearing")[-1])
+    action, w = steady(model_of().film, place[:2])
+    np.testing.assert_allclose(action.force, [0.0, 400.0, 0.0], atol=1e-4 * 400.0)
+    memory = loaded.memory("bearing")
+    found = np.array([memory[f"deflection_{i}"][-1] for i in range(16)])
+    np.testing.assert_allclose(np.sort(found), np.sort(w), rtol=1e-3, atol=1e-5 * np.abs(w).max())
+    peak = float(LINER.foundation()) * w.max()
+    assert float(loaded.part("bearing", "film_pressure")[-1]) == pytest.approx(peak, rel=1e-5)
+    assert np.abs(place).max() < 0.8 * CLEARANCE
+
+
+def test_a_run_takes_a_stiff_method_where_the_liner_is_fast(loaded):
+    """An explicit one would take some 90,000 steps here, and 1.8e7 with a liner of steel."""
+    assert loaded.stats.n_steps < 3000
+    steel = sj.simulate(journal(model_of(sj.laws.WinklerLiner(2e11, 0.3, 2e-3), e_h0=0.0, e_h1=0.0)), [0.0, 0.1, 0.2])
+    assert steel.stats.n_steps < 3000
+
+
+def test_what_a_free_shaft_loses_is_dissipated():
+    scene = journal(model_of(), load=0.0, driven=False, velocity=(0.1, 0.05, 0.0))
+    ts = 0.05 * np.linspace(0.0, 1.0, 1001) ** 2
+    run = sj.simulate(scene, ts, rtol=1e-9)
+    assert run.succeeded
+    powers = [np.asarray(run.part("bearing", name)) for name in ("film_power", "shear_power")]
+    assert all((power >= -1e-12).all() for power in powers)
+    lost = float(run.mechanical_energy[0] - run.mechanical_energy[-1])
+    assert sum(simpson(power, x=ts) for power in powers) == pytest.approx(lost, rel=1e-5)
+    assert lost > 0.1
+
+
+def test_a_journal_that_goes_beyond_its_clearance_is_stopped_and_said():
+    """A soft liner under a load that it cannot hold within the clearance: dry contact helps, and the run says so."""
+    soft = sj.laws.WinklerLiner(5e6, 0.4, 2e-3)
+    with pytest.warns(sj.errors.OutOfRangeWarning, match=r"'bearing'.*elastic liner.*0\.8"):
+        run = sj.simulate(journal(model_of(soft, friction=sj.Threlfall())), [0.0, 0.05, 0.1])
+    assert run.succeeded
+    e = np.linalg.norm(np.asarray(run.eccentricity("bearing"))[-1])
+    assert 0.99 < e / CLEARANCE < 1.05
+
+
+@pytest.mark.slow
+def test_every_number_has_its_derivative():
+    """Of the place after a while, forward against differences, by length, liner, viscosity, clearance and radius."""
+    start = jnp.array([CLEARANCE, VISCOSITY, RADIUS, LENGTH, 1e9, 0.4, 2e-3])
+
+    def final(numbers):
+        c, viscosity, radius, length, *liner = numbers
+        film = sj.laws.LinedBearing(length, sj.laws.WinklerLiner(*liner), 16)
+        model = sj.Lubricated(c, viscosity, socket_radius=radius, film=film, normal=sj.Hertz(stiffness=1e10), e_h1=2e-6)
+        return sj.simulate(journal(model), [0.0, 0.02], rtol=1e-9).eccentricity("bearing")[-1, :2] / CLEARANCE
+
+    slopes = np.asarray(jax.jacfwd(final)(start)) * np.asarray(start)
+    steps = 1e-4 * np.asarray(start)
+    rows = np.asarray(start) + np.concatenate([np.diag(steps), -np.diag(steps)])
+    values = np.asarray(jax.jit(jax.vmap(final))(jnp.asarray(rows)))
+    differences = ((values[:7] - values[7:]) / 2e-4).T
+    np.testing.assert_allclose(slopes, differences, rtol=1e-4, atol=1e-6)
+    assert (np.abs(slopes).max(0) > 1e-4).all()
+
+
+# Limits, errors, cost
+
+
+@pytest.mark.parametrize("boundary", [sj.Guembel(), sj.Sommerfeld()], ids=["pressure", "suction"])
+def test_nothing_that_can_be_reached_is_not_a_number(boundary):
+    model = model_of(boundary=boundary, friction=sj.Threlfall())
+
+    @jax.jit
+    @jax.vmap
+    def answer(e, rate, spin, size):
+        def of(model, e, rate, size):
+            motion = RelativeMotion(
+                jnp.array([1.0, 0.3, 0.0]) * e,
+                jnp.array([-0.2, 1.0, 0.0]) * rate,
+                jnp.eye(3),
+                jnp.array([1.0, 0.0, 0.0, 0.0]),
+                jnp.zeros(3),
+                jnp.array([0.0, 0.0, 1.0]) * spin,
+            )
+            shape = jnp.cos(jnp.arange(16.0))
+            memory = jnp.concatenate([jnp.where(e > CLEARANCE, 1e-3, 0.0)[None], size * shape])
+            response = model.respond(motion, memory)
+            return jnp.concatenate([response.force, response.ball_moment, response.memory_rate])
+
+        return of(model, e, rate, size), jax.jacfwd(of, (0, 1, 2, 3))(model, e, rate, size)
+
+    grid = jnp.meshgrid(
+        jnp.array([0.0, 5e-5, 9.5e-5, 1e-4, 1.2e-4, 1.0]),
+        jnp.array([0.0, 1e-3, 1.0]),
+        jnp.array([0.0, 300.0]),
+        jnp.array([0.0, 1e-7, 1e-5, 1e-3]),
+        indexing="ij",
+    )
+    found = answer(*(axis.ravel() for axis in grid))
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(found))
+
+
+@pytest.mark.parametrize(
+    ("film", "said"),
+    [
+        (lambda: sj.laws.LinedBearing(0.0, LINER), r"joint 'bearing'.*length = 0 must be positive.*\[m\]"),
+        (lambda: sj.laws.LinedBearing(0.02, sj.laws.WinklerLiner(-1.0, 0.4, 1e-3)), r"liner\.youngs_modulus = -1"),
+        (lambda: sj.laws.LinedBearing(0.02, sj.laws.WinklerLiner(1e9, 0.5, 1e-3)), r"liner\.poissons_ratio = 0\.5"),
+        (lambda: sj.laws.LinedBearing(0.02, LINER, 4), r"points = 4 must be a whole number from 16 to 96"),
+    ],
+)
+def test_wrong_numbers_are_named(film, said):
+    model = eqx.tree_at(lambda m: m.film, model_of(), film())
+    with pytest.raises(sj.SceneError, match=said):
+        sj.equations.compile_scene(journal(model))
+
+
+def test_a_ball_has_no_such_film():
+    body = sj.Body(0.2, (1e-3, 1e-3, 1e-3), points={"center": (0, 0, 0)})
+    joint = sj.Spherical("ground.socket", "ball.center", model_of())
+    with pytest.raises(sj.SceneError, match=r"film = 'LinedBearing' must be of a ball in its socket"):
+        sj.equations.compile_scene(sj.Scene({"ball": body}, {"joint": joint}, ground_points={"socket": (0, 0, 0)}))
+
+
+def test_effects_say_what_the_liner_costs_and_a_rigid_bearing_has_none_of_it():
+    rigid = eqx.tree_at(lambda m: m.film, model_of(), sj.laws.ShortBearing(LENGTH))
+    lined, hard = (sj.effects(journal(model), timed=False).rows for model in (model_of(), rigid))
+    assert [row[1:-1] for row in lined[:-1]] == [row[1:-1] for row in hard]
+    last, before = lined[-1], lined[-2]
+    assert last.effect == "elastic liner (16 points)"
+    assert (last.n_states, last.n_memory) == (before.n_states + 16, before.n_memory + 16)
+    assert 0 < last.n_operations - before.n_operations < 1000
