@@ -104,6 +104,12 @@ MODELS = {
 _CYLINDER = sj.laws.JohnsonCylinder(0.02)
 JOURNALS = {
     "johnson": sj.Dry(clearance=C, conformity=_CYLINDER, friction=sj.Threlfall()),
+    "worn": sj.Dry(
+        clearance=C,
+        conformity=_CYLINDER,
+        socket_depth=sj.laws.FourierDepth([5e-6, -2e-6, 3e-6, 1e-6, 0.5e-6]),
+        ball_depth=sj.laws.FourierDepth([2e-6, 0.0, 1e-6]),
+    ),
     "esdu": sj.Dry(clearance=C, conformity=sj.laws.EsduCylinder(0.02), friction=sj.LuGre()),
     "short": sj.Lubricated(clearance=C, film=sj.laws.ShortBearing(0.02), conformity=_CYLINDER),
     "long": sj.Lubricated(clearance=C, film=sj.laws.LongBearing(0.04), conformity=_CYLINDER),

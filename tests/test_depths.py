@@ -297,11 +297,3 @@ def test_a_file_has_them(tmp_path):
 def test_bad_depths_are_answered(model, said):
     with pytest.raises(sj.SceneError, match=said):
         sj.simulate(scene(dry(**model)), TS)
-
-
-def test_a_journal_has_no_depth_by_direction():
-    cylinder = sj.laws.JohnsonCylinder(0.02)
-    joint = sj.Revolute(("ground", "ball"), point=(0, 0, 0), axis=(0, 0, 1),
-                        model=sj.Dry(C, conformity=cylinder, socket_depth=sj.laws.HarmonicDepth([1e-5])))  # fmt: skip
-    with pytest.raises(sj.SceneError, match="be left out of a journal"):
-        sj.simulate(sj.Scene({"ball": sj.Body(1.0, (1e-5,) * 3)}, {"joint": joint}), TS)

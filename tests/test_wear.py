@@ -21,8 +21,9 @@ from spherejax.physics.laws.wear import (
     surface_sliding,
 )
 from spherejax.studies.wear import contacts, cycles, rubbing, study
+from spherejax.studies.wear.charts import Joint, SphereChart
 from spherejax.studies.wear.cycles import Rate, over_cycles
-from spherejax.studies.wear.deposit import Joint, Maps, rubbed
+from spherejax.studies.wear.deposit import Maps, rubbed
 from spherejax.studies.wear.sphere import cell_solid_angle, cell_width, centers, corners, sampled
 
 pytestmark = pytest.mark.filterwarnings(
@@ -192,7 +193,11 @@ def test_a_patch_far_smaller_than_a_cell_loses_nothing():
     small = small._replace(stiffness=jnp.asarray([matched_stiffness(LOAD, depth, C, R)]))
     n = 16
     work, told = rubbed(
-        Maps(jnp.zeros(n * n), jnp.zeros(n * n)), small, np.array([2.0]), Joint(*map(jnp.asarray, (C, R))), n
+        Maps(jnp.zeros(n * n), jnp.zeros(n * n)),
+        small,
+        np.array([2.0]),
+        Joint(*map(jnp.asarray, (C, R, R))),
+        SphereChart(n),
     )
     expected = 2.0 * LOAD * RATE * R
     for each in work:

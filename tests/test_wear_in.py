@@ -12,6 +12,7 @@ from scipy.optimize import brentq
 import spherejax as sj
 from spherejax.physics.laws.depth import harmonics
 from spherejax.physics.laws.wear import foundation_depth
+from spherejax.studies.wear.charts import SphereChart
 from spherejax.studies.wear.deposit import Maps
 from spherejax.studies.wear.gap import fitted, misfit
 from spherejax.studies.wear.rubbing import cycle_of, shape_of
@@ -61,10 +62,13 @@ def worn():
 @pytest.fixture(scope="module")
 def cycle():
     """The first cycle."""
-    study = module._WearStudy(scene(), "joint", TS, OPTIONS["window"], FOUNDATION, 8, 0.0, {"rtol": 1e-8})
+    study = module._WearStudy(
+        scene(), "joint", TS, OPTIONS["window"], FOUNDATION, None, SphereChart, 8, 0.0, {"rtol": 1e-8}
+    )
     run = study.run_on(None)
     model = run.system.spherical("joint").model
-    return cycle_of("joint", model, study.contacts(run), CELLS, (K, 0.0), shape_of(model, CELLS))
+    chart = SphereChart(CELLS)
+    return cycle_of("joint", study.surface(run)[1], study.contacts(run), chart, (K, 0.0), shape_of(model, chart))
 
 
 def near(value, rel):
@@ -155,12 +159,12 @@ def test_maps_that_lose_something_are_an_error(worn, monkeypatch):
 
 
 def _cycle(worn):
-    study = module._WearStudy(scene(), "joint", TS, OPTIONS["window"], FOUNDATION, 8, 0.0, {"rtol": 1e-8})
-    model = worn.run.system.spherical("joint").model
-    run = study.run_on(None)
-    return cycle_of(
-        "joint", model, study.contacts(run), CELLS, (K, 0.0), shape_of(scene().joints["joint"].model, CELLS)
+    study = module._WearStudy(
+        scene(), "joint", TS, OPTIONS["window"], FOUNDATION, None, SphereChart, 8, 0.0, {"rtol": 1e-8}
     )
+    run, chart = study.run_on(None), SphereChart(CELLS)
+    shape = shape_of(scene().joints["joint"].model, chart)
+    return cycle_of("joint", study.surface(run)[1], study.contacts(run), chart, (K, 0.0), shape)
 
 
 @pytest.mark.slow

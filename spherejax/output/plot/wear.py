@@ -1,4 +1,4 @@
-"""The figure of a study of wear: maps of ball and socket, and what was rubbed off along the cycles."""
+"""The figure of a study of wear: maps of both surfaces, and what was rubbed off along the cycles."""
 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -44,10 +44,28 @@ class WearMap(NamedTuple):
     deepest: np.ndarray
 
 
-def wear_figure(maps: Sequence[WearMap], cycles: np.ndarray, title: str) -> Figure:
+class WearRing(NamedTuple):
+    """One side of a journal in its bearing.
+
+    Attributes:
+        name: of the side and its body.
+        angles: of the cells around the axis [degrees], rising.
+        depths: of them [um].
+        volumes: along the cycles [mm^3].
+        deepest: along the cycles [um].
+    """
+
+    name: str
+    angles: np.ndarray
+    depths: np.ndarray
+    volumes: np.ndarray
+    deepest: np.ndarray
+
+
+def wear_figure(maps: Sequence[WearMap | WearRing], cycles: np.ndarray, title: str) -> Figure:
     """A map of each side that wears, centered there, and volumes and depths along the cycles.
 
-    The maps are Lambert's azimuthal projections, which keep areas.
+    The maps of a ball are Lambert's azimuthal projections, which keep areas; those of a journal are the depth by angle.
 
     Args:
         maps: the sides.
@@ -58,7 +76,10 @@ def wear_figure(maps: Sequence[WearMap], cycles: np.ndarray, title: str) -> Figu
     maps = [one for one in maps if np.any(one.depths > 0)] or maps
     figure, axes = new_figure(1, len(maps) + along, 4.2 * (len(maps) + along), 3.9, title)
     for ax, one in zip(axes[0], maps, strict=False):
-        _draw_map(figure, ax, one)
+        if isinstance(one, WearRing):
+            _draw_ring(ax, one)
+        else:
+            _draw_map(figure, ax, one)
     if along:
         _draw_cycles(axes[0, -1], maps, cycles)
     letter(list(axes[0]))
@@ -106,6 +127,18 @@ def _draw_map(figure: Figure, ax: Axes, one: WearMap) -> None:
     ax.set_xlabel(f"from the center along ({words})\nup: {_named(up)}", fontsize=7.5)
 
 
+def _draw_ring(ax: Axes, one: WearRing) -> None:
+    ax.set_title(one.name, loc="left", fontsize=9)
+    ax.set(xlim=(-180, 180), xticks=range(-180, 181, 90), xlabel="angle from the joint's x axis [degrees]")
+    ax.set_ylabel("depth [$\\mu$m]")
+    ax.fill_between(one.angles, one.depths, color=LAW_COLORS[0], alpha=0.2, lw=0)
+    ax.plot(one.angles, one.depths, color=LAW_COLORS[0], lw=1.3)
+    ax.set_ylim(0, None)
+    if not np.any(one.depths > 0):
+        ax.set_ylim(0, 1)
+        ax.text(0, 0.5, "not worn", ha="center", va="center", fontsize=9, color="0.4")
+
+
 def _mark_axes(ax: Axes, center, right, up, angle: float) -> None:
     """Where the body's axes pierce the sphere."""
     for name, axis in zip(_AXES, np.eye(3), strict=True):
@@ -123,7 +156,7 @@ def _mark_axes(ax: Axes, center, right, up, angle: float) -> None:
             ax.annotate(name_there, place, **offset, path_effects=OUTLINE)
 
 
-def _draw_cycles(ax: Axes, maps: Sequence[WearMap], cycles: np.ndarray) -> None:
+def _draw_cycles(ax: Axes, maps: Sequence[WearMap | WearRing], cycles: np.ndarray) -> None:
     ax.set_title("rubbed off (lines) and deepest (dots)", loc="left", fontsize=9)
     depths = ax.twinx()
     for one, color in zip(maps, LAW_COLORS, strict=False):

@@ -141,11 +141,22 @@ class AbstractClearanceModel(AbstractSphericalModel):
             else "JohnsonCylinder and EsduCylinder are of revolute joints; a ball has SphericalProfile, WinklerLiner."
         )
         of = "a journal in its bearing" if is_bearing else "a ball in its socket"
-        required = [Requirement("conformity", name, fits, f"be of {of}", remedy)]
-        if is_bearing and not self.surfaces.are_round:
-            remedy = "Depths by direction are of the ball and the socket of a Spherical joint."
-            required.append(Requirement("socket_depth, ball_depth", "given", False, f"be left out of {of}", remedy))
-        return required
+        remedy_of_depth = (
+            "Give sj.laws.FourierDepth(coefficients): a depth around the axis."
+            if is_bearing
+            else "Give sj.laws.HarmonicDepth(coefficients): a depth by direction."
+        )
+        depths = {"socket_depth": self.surfaces.socket_depth, "ball_depth": self.surfaces.ball_depth}
+        return [
+            Requirement("conformity", name, fits, f"be of {of}", remedy),
+            *(
+                Requirement(
+                    field, type(depth).__name__, depth.is_around_axis == is_bearing, f"be of {of}", remedy_of_depth
+                )
+                for field, depth in depths.items()
+                if depth is not None
+            ),
+        ]
 
     def penetration(self, motion):
         """|e| - c [m]; less, on surfaces that are not round, by their depths in the direction of e."""

@@ -38,8 +38,8 @@ class Dry(AbstractClearanceModel):
         conformity: how surfaces that nearly fit press back, in place of Hertz's law (`SphericalProfile`,
             `WinklerLiner`); None for that.
         socket_depth: how deep the socket's surface lies below its sphere, by direction in the axes of its body: worn
-            away, or not round. None: it is a sphere.
-        ball_depth: the same of the ball, in the axes of its body.
+            away, or not round (`HarmonicDepth`); of a bearing below its cylinder (`FourierDepth`). None: it is round.
+        ball_depth: the same of the ball or the journal, in the axes of its body.
 
     Args:
         ball_radius: R_j, instead of the clearance [m].
@@ -93,7 +93,7 @@ class Dry(AbstractClearanceModel):
         return super().surfaces._replace(socket_depth=self.socket_depth, ball_depth=self.ball_depth)
 
     def as_round(self) -> "Dry":
-        """The same joint with surfaces that are spheres."""
+        """The same joint with surfaces that are spheres, or cylinders."""
         if self.surfaces.are_round:
             return self
         round_ones = None, None

@@ -9,7 +9,8 @@ from typing import Any, ClassVar
 
 import jax.numpy as jnp
 
-from spherejax.foundations.types import Scalar, Vector3
+from spherejax.foundations.rotation import conjugate, rotation_matrix
+from spherejax.foundations.types import Matrix3, Scalar, Vector3
 from spherejax.physics.joints.elementary import PlacedPair
 from spherejax.physics.joints.spherical import PlacedSpherical
 from spherejax.physics.kinematics import RelativeMotion
@@ -66,7 +67,14 @@ class PlacedJournal(PlacedSpherical):
         return motion._replace(
             eccentricity=motion.eccentricity - along * axis,
             eccentricity_rate=motion.eccentricity_rate - along * jnp.cross(motion.socket_angular_velocity, axis),
+            ball_rotation=None if motion.ball_rotation is None else motion.ball_rotation @ self.frame_on_journal,
         )
+
+    @property
+    def frame_on_journal(self) -> Matrix3:
+        """The joint's axes in those of the journal's body, as columns: at the start they are those of the bearing."""
+        axes = rotation_matrix(conjugate(jnp.asarray(self.start_quaternion)))
+        return axes if self.frame is None else axes @ self.frame
 
     def respond(self, motions, memory):
         """Force and moments at the centers; the bearing feels the force where the journal's center is."""
@@ -76,12 +84,17 @@ class PlacedJournal(PlacedSpherical):
         moment = response.socket_moment - along * jnp.cross(axis, response.force)
         return response._replace(socket_moment=moment)
 
+    @property
+    def is_parallel(self) -> bool:
+        """Whether the guide holds the journal's direction; a rim's does not (static)."""
+        return self.guide is not None and bool(self.guide.right_angles)
+
     def share_of_tilt(self, motion: RelativeMotion) -> Scalar | None:
         """R (sin theta)^2 / 2, by which the journal's section is an oval, against a tenth of the clearance.
 
         None for a journal that is held parallel.
         """
-        if self.guide is not None and self.guide.right_angles:
+        if self.is_parallel:
             return None
         model: Any = self.model
         x, y = motion.relative_quaternion[1], motion.relative_quaternion[2]

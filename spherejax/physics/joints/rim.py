@@ -83,7 +83,10 @@ def _of_rims(model: AbstractSphericalModel) -> list[Requirement]:
     rubs = isinstance(model, Ideal) and model.friction is not None
     name = type(model).__name__
     remedy = "Give Dry(...) or Ideal(); a film between tilted surfaces is not modelled: Revolute has one, parallel."
+    turns_oval = isinstance(model, AbstractClearanceModel) and model.surfaces.ball_depth is not None
+    parallel = "Give the depth to the bearing, socket_depth=; a journal that is not round is one of Revolute, parallel."
     return [
+        Requirement("ball_depth", name, not turns_oval, "be left out of a rim", parallel),
         Requirement("model", name, fits, "be ideal or dry", remedy),
         Requirement("friction", name, not rubs, "be left out of an ideal rim", "Revolute has friction by reactions."),
     ]

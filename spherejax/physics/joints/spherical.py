@@ -87,6 +87,11 @@ class PlacedSpherical(AbstractPlacedJoint):
     ideal: AbstractPlacedJoint | None = None
 
     @property
+    def is_parallel(self) -> bool:
+        """Whether a journal is held parallel to its bearing; a ball needs no such thing (static)."""
+        return True
+
+    @property
     def points(self) -> tuple[Numeric, Numeric]:
         """The centers of socket and ball, on their bodies."""
         return self.socket_place, self.ball_place

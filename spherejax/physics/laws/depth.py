@@ -1,15 +1,16 @@
-"""How deep a surface lies below its sphere, by direction: a ball or a socket that is worn, or was never round.
+"""How deep a surface lies below its sphere or cylinder, by direction: one that is worn, or was never round.
 
 A socket's depth h_i is counted outwards, a ball's h_j inwards, both along the radius. In the direction n = e/|e| the
 ball may then go c + h_i + h_j from the socket's center:
 
     delta = |e| - c - h_i(A_i^T n) - h_j(A_j^T n)
 
-with the axes A of the two bodies.
+with the axes A of the two bodies. A journal in its bearing is the same across the bearing's axis, with axes A of which
+z is along it.
 """
 
 import abc
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import equinox as eqx
 import jax
@@ -26,13 +27,23 @@ LARGEST_DEGREE = 24
 """Of harmonics: 625 numbers. Beyond, a program would be of so many operations that its compilation takes minutes."""
 
 
+LARGEST_ORDER = 64
+"""Of harmonics around an axis: they resolve three degrees."""
+
+
 class AbstractDepth(eqx.Module):
-    """The depth of a surface below its sphere, by direction."""
+    """The depth of a surface below its sphere or cylinder, by direction.
+
+    Attributes:
+        is_around_axis: whether it is the depth of a cylinder, the same all along the axis (static).
+    """
+
+    is_around_axis: ClassVar[bool] = False
 
     @property
     @abc.abstractmethod
     def mean(self) -> Number:
-        """Mean depth over the sphere [m], by which radii and clearance enter a stiffness."""
+        """Mean depth over the sphere or around the axis [m], by which radii and clearance enter a stiffness."""
 
     @property
     @abc.abstractmethod
@@ -144,6 +155,103 @@ class HarmonicDepth(AbstractDepth):
                 "Give depths in meters, e.g. coefficients=[1e-5, 0.0, 0.0, 0.0].",
             ),
         ]
+
+
+class FourierDepth(AbstractDepth):
+    """A smooth depth of a cylinder around its axis, the same all along it: a bearing or a journal that is not round.
+
+        h(phi) = a_0 + sum_m (a_m cos m phi + b_m sin m phi),    m = 1 ... M
+
+    phi is counted about the joint's axis a from the joint's x axis, which each of both bodies takes with it. At the
+    start x = a x k/|a x k|, with the coordinate direction k of the world (x, y or z) that is least along the axis; of
+    equal ones the first: about the world's z, phi is counted from the world's y; about y, from -z; about x, from z.
+
+    Attributes:
+        coefficients: a_0, a_1, b_1, a_2, b_2, ..., shape (2 M + 1,) [m].
+
+    Limits: a surface is resolved down to about 180/M degrees, and a narrower pocket rings around its edges. What is
+    worn more at one end of the bearing than at the other is not modelled.
+
+    Source: cos m phi and sin m phi are the parts of (x + i y)^m, polynomials in the direction, so that everything is
+    finite and smooth in the middle of the bearing, too.
+    """
+
+    is_around_axis: ClassVar[bool] = True
+
+    coefficients: Numeric
+
+    def __init__(self, coefficients: Annotated[Listed, Unit("m")]):
+        self.coefficients = numbers(coefficients)
+
+    @property
+    def order(self) -> int:
+        """M."""
+        return np.size(self.coefficients) // 2
+
+    @property
+    def mean(self) -> Number:
+        """a_0 [m]."""
+        return jnp.asarray(self.coefficients)[0]
+
+    @property
+    def least(self) -> Numeric:
+        """The smallest depth on a grid of 8 M + 4 angles, eight for each wave [m]."""
+        turn = 2 * np.pi * np.arange(8 * self.order + 4) / (8 * self.order + 4)
+        return jnp.min(waves(np.stack([np.cos(turn), np.sin(turn)], -1), self.order) @ jnp.asarray(self.coefficients))
+
+    def depth(self, u: Vector3) -> Scalar:
+        """h [m]."""
+        return self.depth_and_gradient(u)[0]
+
+    def depth_and_gradient(self, u: Vector3) -> tuple[Scalar, Vector3]:
+        """h [m], and the gradient of its polynomial by u [m], which has no part along the axis."""
+        a = jnp.asarray(self.coefficients)
+        x, y = u[0], u[1]
+        value, along_x, along_y = a[0], jnp.zeros(()), jnp.zeros(())
+        real, imaginary = jnp.ones(()), jnp.zeros(())  # of (x + i y)^(m - 1)
+        for m in range(1, self.order + 1):
+            cosine, sine = a[2 * m - 1], a[2 * m]
+            along_x = along_x + m * (cosine * real + sine * imaginary)
+            along_y = along_y + m * (sine * real - cosine * imaginary)
+            real, imaginary = x * real - y * imaginary, x * imaginary + y * real
+            value = value + cosine * real + sine * imaginary
+        return value, jnp.stack([along_x, along_y, jnp.zeros(())])
+
+    def requirements(self) -> list[Requirement]:
+        """An odd number of finite numbers, up to an order that can be compiled."""
+        shape, size = np.shape(self.coefficients), np.size(self.coefficients)
+        return [
+            Requirement(
+                "coefficients",
+                f"{size} numbers",
+                len(shape) == 1 and size % 2 == 1,
+                "be 1, 3, 5, ... numbers in a row",
+                "Give a_0, and a cosine and a sine for each order.",
+            ),
+            Requirement(
+                "coefficients",
+                f"{size} numbers",
+                self.order <= LARGEST_ORDER,
+                f"be of an order up to {LARGEST_ORDER}",
+                "Leave the higher orders out.",
+            ),
+            Requirement(
+                "coefficients",
+                self.coefficients,
+                abs(numeric(self.coefficients)) < np.inf,
+                "be finite",
+                "Give depths in meters, e.g. coefficients=[1e-5, 0.0, 0.0].",
+            ),
+        ]
+
+
+def waves(u: Float[np.ndarray, "*q d"], order: int) -> Float[np.ndarray, "*q k"]:
+    """1, cos phi, sin phi, cos 2 phi, ... at unit vectors across the axis, in the order of the coefficients."""
+    power, columns = u[..., 0] + 1j * u[..., 1], [np.ones(u.shape[:-1])]
+    for m in range(1, order + 1):
+        turned = power**m
+        columns += [turned.real, turned.imag]
+    return np.stack(columns, axis=-1)
 
 
 def _norms(L: int) -> dict[tuple[int, int], float]:

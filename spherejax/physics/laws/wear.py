@@ -1,4 +1,4 @@
-"""Wear of ball and socket: Archard's law at every point, and the pressure of a Winkler foundation on worn surfaces.
+"""Wear of two surfaces: Archard's law at every point, and the pressure of a Winkler foundation on worn surfaces.
 
     dh/dt = k p |v_s|
 
@@ -8,7 +8,8 @@ between ball and socket, and a foundation of stiffness k_w [N/m^3] presses where
 
     p = k_w max(0, s n.u - c - h_i - h_j)
 
-along the contact's direction n; the approach s is that whose resultant is the normal force. Everything here is of one
+along the contact's direction n; the approach s is that whose resultant is the normal force. The points of a journal in
+its bearing are those of a circle across the axis, and stand for the whole length. Everything here is of one
 contact at one instant, exact to the order of c/R: both surfaces have the socket's radius.
 """
 
@@ -23,6 +24,12 @@ from spherejax.foundations.types import Number, Numeric, Scalar
 
 MOST_NEWTON_STEPS = 40
 """Of the approach: the load is piecewise linear in it and convex, so each step but the last changes who touches."""
+
+_ANGLE_STEPS = 12
+"""Of the half angle of a journal's foundation, by Newton's method from a bound above it: convex, at most 1.6 times."""
+
+_SMALL_ANGLE = 0.4
+"""Below, 2 theta - sin 2 theta is a series of seven terms, right to rounding there."""
 
 _CUBIC_STEPS = 8
 """Of the depth of a foundation, from a bound that is at most some 25 % away."""
@@ -86,6 +93,54 @@ def foundation_depth(force: Numeric, clearance: Number, radius: Number, stiffnes
         return jnp.where(slope > 0, depth - value / jnp.maximum(slope, floor), depth)
 
     return jax.lax.fori_loop(0, _CUBIC_STEPS, improved, bound)
+
+
+def journal_foundation_force(
+    depth: Numeric, clearance: Number, radius: Number, length: Number, stiffness: Numeric
+) -> Numeric:
+    """Force of a Winkler foundation between a journal and its unworn bearing [N].
+
+        F = k_w R L c (2 theta - sin 2 theta)/(2 cos theta),    cos theta = c/(c + delta)
+
+    Args:
+        depth: delta = |e| - c [m], not negative.
+        clearance: c [m].
+        radius: R [m].
+        length: L of the bearing [m].
+        stiffness: k_w [N/m^3].
+
+    Limits: (4/3) k_w R L delta sqrt(2 delta/c) for delta << c; 0 with slope 0 at delta = 0.
+
+    Source: integral of p n.u over the arc n.u > c/(c + delta).
+    """
+    theta = 2 * jnp.arcsin(jnp.sqrt(depth / (2 * (clearance + depth))))
+    return stiffness * radius * length * (clearance + depth) * _segment(2 * theta) / 2
+
+
+def journal_foundation_depth(
+    force: Numeric, clearance: Numeric, radius: Number, length: Number, stiffness: Numeric
+) -> Numeric:
+    """The depth delta of `journal_foundation_force` [m], to rounding; 0 without a force.
+
+    Newton's iteration for the half angle theta from a bound above it, f = F/(k_w R L c) > 2 theta^3/3.
+    """
+    f = force / (stiffness * radius * length * clearance)
+    theta = jnp.minimum(jnp.cbrt(1.5 * f), jnp.pi / 2)
+    for _ in range(_ANGLE_STEPS):
+        value = _segment(2 * theta) - 2 * f * jnp.cos(theta)
+        slope = 4 * jnp.sin(theta) ** 2 + 2 * f * jnp.sin(theta)
+        theta = jnp.where(slope > 0, theta - value / jnp.where(slope > 0, slope, 1.0), theta)
+    return clearance * 2 * jnp.sin(theta / 2) ** 2 / jnp.cos(theta)
+
+
+def _segment(x: Numeric) -> Numeric:
+    """x - sin x, without the digits that the difference loses at small angles."""
+    square = x * x
+    series, term = jnp.zeros_like(square), x * square / 6
+    for k in range(7):
+        series = series + term
+        term = -term * square / ((2 * k + 4) * (2 * k + 5))
+    return jnp.where(square < _SMALL_ANGLE**2, series, x - jnp.sin(x))
 
 
 def matched_stiffness(force: Numeric, penetration: Numeric, clearance: Number, radius: Number) -> Scalar:

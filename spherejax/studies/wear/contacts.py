@@ -21,8 +21,9 @@ from spherejax.motion.equations.body_motions import body_motions
 from spherejax.motion.equations.loads import joint_loads
 from spherejax.motion.results.steps import SHARE_WEIGHTS, SHARES, Steps, seen_at
 from spherejax.physics.joints.contact import direction_of, surface_contact
-from spherejax.physics.laws.wear import WearContact, foundation_depth, matched_stiffness
+from spherejax.physics.laws.wear import WearContact
 from spherejax.physics.state import unpack
+from spherejax.studies.wear.charts import AbstractChart, Joint
 from spherejax.studies.wear.gathering import gathered, middle_sliding, power
 
 SPACING = 0.25
@@ -50,7 +51,7 @@ _END_WEIGHT = (1 / 3 - _MIDDLE) / (1 - _MIDDLE) / 2
 
 
 class _Seen(NamedTuple):
-    """A joint at one instant; vectors in the axes of the socket's body."""
+    """A joint at one instant; vectors in the axes of the socket's body, or of a journal's bearing with z along it."""
 
     force: Numeric
     penetration: Numeric
@@ -101,7 +102,8 @@ def _seen_of(joint: str):
         placed = system.spherical(joint)
         model: Any = placed.model
         motion = placed.relative_motion(motions)
-        socket, ball = (motions[name].rotation for name in placed.bodies)
+        socket, ball = motion.socket_rotation, motion.ball_rotation
+        assert ball is not None
         e, n = motion.eccentricity, direction_of(motion.eccentricity)
         n_rate = (motion.eccentricity_rate - (motion.eccentricity_rate @ n) * n) / jnp.maximum(safe_norm(e), 1e-300)
         over = [n_rate - jnp.cross(w, n) for w in (motion.socket_angular_velocity, motion.ball_angular_velocity)]
@@ -130,6 +132,7 @@ def contacts_of(
     joint: str,
     window: tuple[float, float] | None,
     scalar: bool | None,
+    surface: tuple[type[AbstractChart], Joint],
     foundation: float | None,
     ball_counts: bool = True,
 ) -> ContactInstants:
@@ -141,6 +144,7 @@ def contacts_of(
         joint: name of a joint with contact.
         window: first and last instant [s]; None for the whole run.
         scalar: whether the run was on scalar programs.
+        surface: the kind of its maps, and its geometry.
         foundation: its stiffness [N/m^3]; None: as stiff as makes each patch as wide as Hertz's.
         ball_counts: whether it matters where on the ball a patch lies.
 
@@ -150,16 +154,16 @@ def contacts_of(
     begins = np.concatenate([[steps.t0], steps.ends[:-1]])
     window = (steps.t0, float(steps.ends[-1])) if window is None else window
     own = np.flatnonzero((steps.ends > window[0]) & (begins < window[1]))
-    see = _seen_of(joint)
+    see, press = _seen_of(joint), _Pressing(system.spherical(joint).model, *surface, foundation)
     first = _look(system, see, steps.inside[own], steps.at_inside[own], scalar)
     weights = _weights_within(begins[own], steps.lengths[own], window)
 
     def rubbing(seen: _Seen) -> np.ndarray:
-        return _power(system, joint, seen, foundation)
+        return press.power(seen)
 
     rough = np.sum(weights * rubbing(first), axis=1)
     missed = _missed(steps, own, rubbing(first), lambda ts, ys: rubbing(_look(system, see, ts, ys, scalar)))
-    parts = _parts(steps.lengths[own], first, _patches(system, joint, first, foundation)[1])
+    parts = _parts(steps.lengths[own], first, press.patches(first)[1])
     at_begin = np.concatenate([steps.y0[None], steps.at_ends[:-1]])[own]
     known = np.concatenate([at_begin[:, None], steps.at_inside[own]], axis=1)
     pieces = []
@@ -176,7 +180,7 @@ def contacts_of(
         starts = begins[own][chosen, None] + lengths * np.arange(n)
         cut = _weights_within(starts.ravel(), lengths.ravel(), window).reshape(len(chosen), -1)
         pieces.append((chosen, seen, cut))
-    return _gathered(system, joint, pieces, (rough, missed), window, foundation, ball_counts)
+    return _gathered(press, pieces, (rough, missed), window, ball_counts)
 
 
 def _look(system: System, see, ts: np.ndarray, ys: np.ndarray, scalar: bool | None) -> _Seen:
@@ -210,19 +214,39 @@ def _weights_within(begins, lengths, window: tuple[float, float]) -> np.ndarray:
     return full
 
 
-def _patches(system: System, joint: str, seen: _Seen, foundation: float | None) -> tuple[np.ndarray, np.ndarray]:
-    """Stiffness of the foundation [N/m^3] and half angle of the patch on unworn surfaces [rad]; 0 without contact."""
-    model: Any = system.spherical(joint).model
-    clearance, radius = float(model.clearance), float(model.socket_radius)
-    presses = (np.asarray(seen.force) > 0) & (np.asarray(seen.penetration) > 0)
-    force, depth = np.where(presses, seen.force, 1.0), np.where(presses, seen.penetration, 1.0)
-    if foundation is None:
-        stiffness = np.asarray(matched_stiffness(force, depth, clearance, radius))
-        yields = depth / 2
-    else:
-        stiffness = np.full(force.shape, foundation)
-        yields = np.asarray(foundation_depth(force, clearance, radius, foundation))
-    return stiffness, np.where(presses, np.arccos(clearance / (clearance + yields)), 0.0)
+class _Pressing(NamedTuple):
+    """How the surfaces of a joint press on each other.
+
+    Attributes:
+        model: of the joint.
+        kind: of its maps.
+        geometry: of the joint.
+        foundation: its stiffness [N/m^3]; None: as stiff as makes each patch as wide as that of the contact.
+    """
+
+    model: Any
+    kind: type[AbstractChart]
+    geometry: Joint
+    foundation: float | None
+
+    def patches(self, seen: _Seen) -> tuple[np.ndarray, np.ndarray]:
+        """Stiffness of the foundation [N/m^3], half angle of the patch on unworn surfaces [rad], 0 without contact."""
+        clearance = float(self.geometry.clearance)
+        presses = (np.asarray(seen.force) > 0) & (np.asarray(seen.penetration) > 0)
+        force, depth = np.where(presses, seen.force, 1.0), np.where(presses, seen.penetration, 1.0)
+        if self.foundation is None:
+            yields = np.asarray(self.kind.matched_depth(self.model, force, depth))
+            stiffness = np.asarray(force / self.kind.force(yields, self.geometry, 1.0))
+        else:
+            stiffness = np.full(force.shape, self.foundation)
+            yields = np.asarray(self.kind.depth(force, clearance, self.geometry, self.foundation))
+        return stiffness, np.where(presses, np.arccos(clearance / (clearance + yields)), 0.0)
+
+    def power(self, seen: _Seen) -> np.ndarray:
+        """Rubbing power of each contact, in short; see `gathering.power` [W]."""
+        _, half_angle = self.patches(seen)
+        radius = float(self.geometry.radius)
+        return np.where(half_angle > 0, power(_as_contact(seen, seen.force), half_angle, radius), 0.0)
 
 
 def _parts(lengths: np.ndarray, seen: _Seen, half_angles: np.ndarray) -> np.ndarray:
@@ -239,13 +263,6 @@ def _parts(lengths: np.ndarray, seen: _Seen, half_angles: np.ndarray) -> np.ndar
     return parts
 
 
-def _power(system: System, joint: str, seen: _Seen, foundation: float | None) -> np.ndarray:
-    """Rubbing power of each contact, in short; see `gathering.power` [W]."""
-    model: Any = system.spherical(joint).model
-    _, half_angle = _patches(system, joint, seen, foundation)
-    return np.where(half_angle > 0, power(_as_contact(seen, seen.force), half_angle, float(model.socket_radius)), 0.0)
-
-
 def _as_contact(seen: _Seen, stiffness) -> WearContact:
     return WearContact(seen.force, seen.direction, seen.velocity, seen.spin, seen.turned, stiffness, seen.across)
 
@@ -259,14 +276,14 @@ def _missed(steps: Steps, own: np.ndarray, rubbing: np.ndarray, see) -> np.ndarr
     return np.abs(steps.lengths[own] * (coarse - rubbing @ np.asarray(SHARE_WEIGHTS)))
 
 
-def _gathered(system: System, joint: str, pieces, told, window, foundation, ball_counts) -> ContactInstants:
+def _gathered(press: _Pressing, pieces, told, window, ball_counts) -> ContactInstants:
     """One row for each instant at which ball and socket press on each other."""
     rough, missed = told
     fine = np.zeros(len(rough))
     columns, stiffnesses, half_angles, durations = [], [], [], []
     for chosen, seen, weights in pieces:
-        fine[chosen] = np.sum(weights * _power(system, joint, seen, foundation), axis=1)
-        stiffness, half_angle = _patches(system, joint, seen, foundation)
+        fine[chosen] = np.sum(weights * press.power(seen), axis=1)
+        stiffness, half_angle = press.patches(seen)
         pressing = (half_angle > 0) & (weights > 0)
         columns.append(_Seen(*(np.asarray(x)[pressing] for x in seen)))
         stiffnesses.append(stiffness[pressing])
@@ -274,8 +291,7 @@ def _gathered(system: System, joint: str, pieces, told, window, foundation, ball
         durations.append(weights[pressing])
     all_seen = _Seen(*(np.concatenate(each) for each in zip(*columns, strict=True)))
     contact, duration = _as_contact(all_seen, np.concatenate(stiffnesses)), np.concatenate(durations)
-    model: Any = system.spherical(joint).model
-    radius = float(model.socket_radius)
+    radius = float(press.geometry.radius)
     slid = np.linalg.norm(middle_sliding(contact, radius), axis=-1) @ (all_seen.force * duration)
     # Of steps that were cut into parts, what the parts tell otherwise.
     missed = np.where(fine == rough, missed, np.abs(fine - rough))

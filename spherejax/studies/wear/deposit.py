@@ -1,8 +1,9 @@
 """What contacts rub off: pressure and sliding on worn surfaces, shared out to the maps of both bodies.
 
 Each contact is looked at in points of its patch, on rings about its direction. Their shares of the rubbing work,
-p |v_s| dA dt, go to the four cells around them, in the socket's map and in the ball's. So nothing is lost, whether a
-patch covers half the sphere or less than a cell; how well a map resolves a patch is another question, and is answered.
+p |v_s| dA dt, go to the cells around them, four on a ball and two on a journal, in the socket's map and in the ball's.
+So nothing is lost, whether a patch covers half the surface or less than a cell; how well a map resolves a patch is
+another question, and is answered.
 """
 
 from typing import NamedTuple
@@ -14,21 +15,12 @@ from jaxtyping import Array, Float
 
 from spherejax.foundations.numerics import safe_norm
 from spherejax.foundations.types import Numeric, Scalar
-from spherejax.physics.laws.wear import WearContact, approach, foundation_depth, surface_sliding
+from spherejax.physics.laws.wear import WearContact, approach, surface_sliding
 from spherejax.program_cache import cached_jit
-from spherejax.studies.wear.sphere import cell_width, corners, sampled
+from spherejax.studies.wear.charts import AbstractChart, Joint, PatchPoints, chart_of
 
 SEARCH_RINGS, SEARCH_PASSES = 8, 2
 """Rings on which the edge of a patch on worn surfaces is looked for, each time within what was found before."""
-
-RINGS = (4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256)
-"""On a patch; few different numbers, for few programs."""
-
-RINGS_PER_CELL = 1.75
-"""With as many rings as cells from a patch's middle to its edge, points and cells would beat: stripes of 20 %."""
-
-POINTS_PER_RING = 6
-"""For each ring of the patch: 2 pi of them would be as dense around as outwards."""
 
 HEMISPHERE = 0.98
 """1 - cos of the widest patch: almost a right angle."""
@@ -41,17 +33,10 @@ FEW = 4
 
 
 class Maps(NamedTuple):
-    """Two maps, flat, shape (n n): the socket's and the ball's, each in the axes of its body."""
+    """Two maps, flat: the socket's and the ball's, or the bearing's and the journal's, each in the axes of its body."""
 
-    socket: Float[Array, " n2"]
-    ball: Float[Array, " n2"]
-
-
-class Joint(NamedTuple):
-    """Geometry of the joint: c [m] and R, the socket's radius [m]."""
-
-    clearance: Scalar
-    radius: Scalar
+    socket: Float[Array, " n"]
+    ball: Float[Array, " n"]
 
 
 class Told(NamedTuple):
@@ -73,7 +58,9 @@ class Told(NamedTuple):
     radius: Numeric
 
 
-def rubbed(wear: Maps, contacts: WearContact, durations: np.ndarray, joint: Joint, n: int) -> tuple[Maps, Told]:
+def rubbed(
+    wear: Maps, contacts: WearContact, durations: np.ndarray, joint: Joint, chart: AbstractChart
+) -> tuple[Maps, Told]:
     """Rubbing work of contacts on worn surfaces [J], by cell.
 
     Args:
@@ -81,23 +68,24 @@ def rubbed(wear: Maps, contacts: WearContact, durations: np.ndarray, joint: Join
         contacts: with a leading axis.
         durations: how long each of them acts [s].
         joint: its geometry.
-        n: cells of the maps along each side.
+        chart: of the maps.
 
     Returns:
         The work in each cell of both maps, and what is told of each contact.
     """
     m = len(durations)
     is_worn = any(bool(jnp.any(each != 0)) for each in wear)
-    rises = np.asarray(_edges(n, is_worn, wear, _padded(contacts, durations)[0], joint))[:m]
+    rises = np.asarray(_edges(chart.is_ball, chart.n, is_worn, wear, _padded(contacts, durations)[0], joint))[:m]
     widths = np.arccos(1 - rises)
-    enough = np.searchsorted(RINGS, RINGS_PER_CELL * widths / cell_width(n))
-    rings = np.array(RINGS)[np.minimum(enough, len(RINGS) - 1)]
-    work, told = Maps(jnp.zeros(n * n), jnp.zeros(n * n)), Told(*np.zeros((5, m)))
+    enough = np.searchsorted(chart.rings, chart.rings_per_cell * widths / chart.cell_width)
+    rings = np.array(chart.rings)[np.minimum(enough, len(chart.rings) - 1)]
+    work, told = Maps(jnp.zeros(chart.size), jnp.zeros(chart.size)), Told(*np.zeros((5, m)))
     for count in np.unique(rings):
         own = np.flatnonzero(rings == count)
         chosen, lasting = _padded(jax.tree.map(lambda x, at=own: np.asarray(x)[at], contacts), durations[own])
         wide = np.concatenate([rises[own], np.full(len(lasting) - len(own), rises[own][-1])])
-        work, seen = _shared_out(n, int(count), work, wear, chosen, jnp.asarray(lasting), jnp.asarray(wide), joint)
+        kind = chart.is_ball, chart.n, int(count)
+        work, seen = _shared_out(*kind, work, wear, chosen, jnp.asarray(lasting), jnp.asarray(wide), joint)
         for column, values in zip(told, seen, strict=True):
             column[own] = np.asarray(values)[: len(own)]
     return work, told
@@ -114,75 +102,43 @@ def _padded(contacts: WearContact, durations: np.ndarray) -> tuple[WearContact, 
 # One contact ----------------------------------------------------------------------------------------------------------
 
 
-class _Points(NamedTuple):
-    """Points of a patch: unit vectors, 1 - n.u, shares of the unit sphere [sr], and the number of the ring of each."""
-
-    u: Float[Array, "q 3"]
-    fall: Float[Array, " q"]
-    solid_angles: Float[Array, " q"]
-    ring: Float[np.ndarray, " q"]
-
-    @property
-    def x(self) -> Float[Array, " q"]:
-        """n.u."""
-        return 1 - self.fall
-
-
-def _points(n: Float[Array, "3"], rise: Scalar, rings: int) -> _Points:
-    """Points on the cap 1 - n.u < rise: Gauss's rule in the radius sqrt((1 - n.u)/rise), equal angles around."""
-    nodes, weights = np.polynomial.legendre.leggauss(rings)
-    rho, shares = (nodes + 1) / 2, weights / 2
-    around = POINTS_PER_RING * rings
-    turn = 2 * np.pi * (np.arange(around)[None] / around + 0.618 * np.arange(rings)[:, None])
-    ring = np.repeat(np.arange(rings), around)
-    fall = rise * np.repeat(rho**2, around)
-    across = jnp.sqrt(fall * (2 - fall))
-    first, second = _across(n)
-    u = (1 - fall)[:, None] * n + across[:, None] * (
-        np.cos(turn).reshape(-1, 1) * first + np.sin(turn).reshape(-1, 1) * second
-    )
-    solid_angles = rise * np.repeat(2 * rho * shares * (2 * np.pi / around), around)
-    return _Points(u, fall, solid_angles, ring)
-
-
-def _across(n: Float[Array, "3"]) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
-    """Two unit vectors across n and each other."""
-    axis = jnp.where(jnp.abs(n[2]) < 0.9, jnp.array([0.0, 0.0, 1.0]), jnp.array([1.0, 0.0, 0.0]))
-    first = jnp.cross(n, axis)
-    first = first / jnp.sqrt(first @ first)
-    return first, jnp.cross(n, first)
-
-
-def _gap(n: int, wear: Maps, points: _Points, contact: WearContact, joint: Joint) -> Float[Array, " q"]:
+def _gap(
+    chart: AbstractChart, wear: Maps, points: PatchPoints, contact: WearContact, joint: Joint
+) -> Float[Array, " q"]:
     """c (1 - n.u) + h_i + h_j at points [m]: of the ball that touches its unworn socket."""
     on_ball = points.u @ contact.turned
-    return joint.clearance * points.fall + sampled(wear.socket, points.u, n) + sampled(wear.ball, on_ball, n)
+    return joint.clearance * points.fall + chart.sampled(wear.socket, points.u) + chart.sampled(wear.ball, on_ball)
 
 
 def _edge(
-    n: int, passes: int, wear: Maps, extremes: tuple[Scalar, Scalar], contact: WearContact, joint: Joint
+    chart: AbstractChart,
+    passes: int,
+    wear: Maps,
+    extremes: tuple[Scalar, Scalar],
+    contact: WearContact,
+    joint: Joint,
 ) -> Scalar:
     """1 - cos of the angle at which the patch ends; on worn surfaces, of one that contains it."""
     # No closer can the ball be than where the deepest wear is everywhere, and nowhere is less worn than the least.
     least, deepest = extremes
     gap = joint.clearance + deepest
-    depth = foundation_depth(contact.force, gap, joint.radius, contact.stiffness)
+    depth = chart.depth(contact.force, gap, joint, contact.stiffness)
     rise = jnp.minimum((deepest - least + depth) / (gap + depth), HEMISPHERE)
-    rho = np.concatenate([(np.polynomial.legendre.leggauss(SEARCH_RINGS)[0] + 1) / 2, [1.0]])
+    rho = np.concatenate([chart.nodes(SEARCH_RINGS)[0], [1.0]])
     for _ in range(passes):
-        points = _points(contact.direction, rise, SEARCH_RINGS)
-        gap = _gap(n, wear, points, contact, joint)
-        s = approach(points.x, gap, points.solid_angles * joint.radius**2, contact.force, contact.stiffness)
+        points = chart.points(contact.direction, rise, SEARCH_RINGS)
+        gap = _gap(chart, wear, points, contact, joint)
+        s = approach(points.x, gap, points.shares * joint.area, contact.force, contact.stiffness)
         outermost = jnp.max(jnp.where(s * points.x > gap, points.ring, 0))
         rise = rise * jnp.asarray(rho)[outermost + 1] ** 2
     return rise
 
 
-def _rubbing(n: int, rings: int, wear: Maps, contact: WearContact, rise: Scalar, joint: Joint):
+def _rubbing(chart: AbstractChart, rings: int, wear: Maps, contact: WearContact, rise: Scalar, joint: Joint):
     """Power of each point of a patch [W], cells and shares in both maps, and what is told."""
-    points = _points(contact.direction, rise, rings)
-    gap = _gap(n, wear, points, contact, joint)
-    areas = points.solid_angles * joint.radius**2
+    points = chart.points(contact.direction, rise, rings)
+    gap = _gap(chart, wear, points, contact, joint)
+    areas = points.shares * joint.area
     s = approach(points.x, gap, areas, contact.force, contact.stiffness)
     load = contact.stiffness * jnp.maximum(s * points.x - gap, 0.0) * areas
     speed = jax.vmap(safe_norm)(surface_sliding(points.u, contact, joint.radius))
@@ -191,24 +147,30 @@ def _rubbing(n: int, rings: int, wear: Maps, contact: WearContact, rise: Scalar,
     aside = safe_norm(resultant - along * contact.direction - contact.force * contact.across)
     square = jnp.sum(load * points.fall * (1 + points.x)) / jnp.sum(load)
     told = Told(load @ speed, s, along / contact.force - 1, aside / contact.force, jnp.sqrt(2 * square))
-    return load * speed, corners(points.u, n), corners(points.u @ contact.turned, n), told
+    return load * speed, chart.corners(points.u), chart.corners(points.u @ contact.turned), told
 
 
 # All of them ----------------------------------------------------------------------------------------------------------
 
 
 @cached_jit(what="the edges of patches")
-def _edges(n: int, is_worn: bool, wear: Maps, contacts: WearContact, joint: Joint):
+def _edges(is_ball: bool, n: int, is_worn: bool, wear: Maps, contacts: WearContact, joint: Joint):
     extremes = jnp.min(wear.socket) + jnp.min(wear.ball), jnp.max(wear.socket) + jnp.max(wear.ball)
-    passes = SEARCH_PASSES if is_worn else 0
-    return jax.lax.map(lambda one: _edge(n, passes, wear, extremes, one, joint), contacts, batch_size=AT_ONCE)
+    chart, passes = chart_of(is_ball, n), SEARCH_PASSES if is_worn else 0
+    return jax.lax.map(lambda one: _edge(chart, passes, wear, extremes, one, joint), contacts, batch_size=AT_ONCE)
 
 
 @cached_jit(what="the wear of a run")
-def _shared_out(n: int, rings: int, work: Maps, wear: Maps, contacts: WearContact, durations, rises, joint: Joint):
+def _shared_out(
+    is_ball: bool, n: int, rings: int, work: Maps, wear: Maps, contacts: WearContact, durations, rises, joint: Joint
+):
+    chart = chart_of(is_ball, n)
+
     def some(work: Maps, chunk):
         contact, lasting, rise = chunk
-        power, on_socket, on_ball, told = jax.vmap(lambda c, r: _rubbing(n, rings, wear, c, r, joint))(contact, rise)
+        power, on_socket, on_ball, told = jax.vmap(lambda c, r: _rubbing(chart, rings, wear, c, r, joint))(
+            contact, rise
+        )
         done = power * lasting[:, None]
 
         def added(to, cells, shares):

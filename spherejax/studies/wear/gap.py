@@ -6,7 +6,7 @@ fitted to the approach s of the foundation on the maps,
 
     g(n) = s(n; F, h) - s(n; F, 0),
 
-at all contacts of a cycle with their own loads, and, with a small weight, at directions all over each of both spheres
+at all contacts of a cycle with their own loads, and, with a small weight, at directions all over each of both surfaces
 with the mean load of the cycle, where no contact says anything. A surface that is worn the same everywhere has its own
 depth.
 """
@@ -17,8 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from spherejax.physics.laws.depth import grid_of, harmonics
-from spherejax.physics.laws.wear import WearContact, foundation_depth
+from spherejax.physics.laws.wear import WearContact
 from spherejax.studies.wear.deposit import Maps, Told, rubbed
 from spherejax.studies.wear.rubbing import RubbingCycle
 
@@ -27,7 +26,9 @@ ELSEWHERE = 0.05
 
 
 class Profiles(NamedTuple):
-    """Coefficients of the depths of socket and ball that a motion feels, as `HarmonicDepth` takes them [m].
+    """Coefficients of the depths of socket and ball that a motion feels [m].
+
+    They are those of a `HarmonicDepth`, or of a journal's `FourierDepth`.
 
     Attributes:
         socket: None for a socket that stays round.
@@ -47,19 +48,21 @@ def fitted(cycle: RubbingCycle, depth: Maps, told: Told, degree: int) -> Profile
         told: of the contacts on surfaces worn that deep.
         degree: L of the harmonics.
     """
+    harmonics = cycle.chart.harmonics
     worn = Maps(cycle.shape.socket + depth.socket, cycle.shape.ball + depth.ball)
     sides = [bool(jnp.any(each != 0)) for each in worn]
     directions = _directions(cycle)
     rows = [np.concatenate([harmonics(directions[k], degree) for k in (0, 1) if sides[k]], 1)]
     targets, weights = [gone(cycle, told)], [_weights(cycle, told)]
-    u, share = grid_of(2 * degree)
-    size, k = (degree + 1) ** 2, sum(sides)
+    u, share = cycle.chart.grid(degree)
+    all_over, k = harmonics(u, degree), sum(sides)
+    size = all_over.shape[1]
     column = 0
     for side, there in enumerate(sides):
         if not there:
             continue
         block = np.zeros((len(u), k * size))
-        block[:, column * size : (column + 1) * size] = harmonics(u, degree)
+        block[:, column * size : (column + 1) * size] = all_over
         column += 1
         rows.append(block)
         targets.append(_reach(cycle, worn, side, u))
@@ -77,17 +80,15 @@ def misfit(cycle: RubbingCycle, told: Told, profiles: Profiles) -> float:
     felt = np.zeros(len(told.power))
     for u, coefficients in zip(_directions(cycle), profiles, strict=True):
         if coefficients is not None:
-            felt = felt + harmonics(u, round(np.sqrt(len(coefficients))) - 1) @ coefficients
+            felt = felt + cycle.chart.harmonics(u, cycle.chart.degree_of(coefficients)) @ coefficients
     return float(np.sqrt(_weights(cycle, told) @ (gone(cycle, told) - felt) ** 2))
 
 
 def gone(cycle: RubbingCycle, told: Told) -> Float[np.ndarray, " m"]:
     """How much farther the ball goes in each contact than between round surfaces, for the same load [m]."""
-    contact = cycle.contacts.contact
-    c, R = float(cycle.geometry.clearance), float(cycle.geometry.radius)
-    return told.approach - np.asarray(
-        foundation_depth(jnp.asarray(contact.force), c, R, jnp.asarray(contact.stiffness))
-    )
+    contact, geometry = cycle.contacts.contact, cycle.geometry
+    force, stiffness = jnp.asarray(contact.force), jnp.asarray(contact.stiffness)
+    return told.approach - np.asarray(cycle.chart.depth(force, geometry.clearance, geometry, stiffness))
 
 
 def _weights(cycle: RubbingCycle, told: Told) -> Float[np.ndarray, " m"]:
@@ -113,6 +114,6 @@ def _reach(cycle: RubbingCycle, worn: Maps, side: int, u: Float[np.ndarray, "q 3
     same = np.broadcast_to(np.eye(3), (q, 3, 3))
     loads = WearContact(np.full(q, force), u, still, still, same, np.full(q, stiffness), still)
     own = Maps(*(each if k == side else jnp.zeros_like(each) for k, each in enumerate(worn)))
-    approach = rubbed(own, loads, np.zeros(q), cycle.geometry, cycle.cells)[1].approach
-    c, R = float(cycle.geometry.clearance), float(cycle.geometry.radius)
-    return approach - float(foundation_depth(jnp.asarray(force), c, R, stiffness))
+    approach = rubbed(own, loads, np.zeros(q), cycle.geometry, cycle.chart)[1].approach
+    geometry = cycle.geometry
+    return approach - float(cycle.chart.depth(jnp.asarray(force), geometry.clearance, geometry, stiffness))

@@ -8,10 +8,10 @@ import numpy as np
 
 from spherejax.motion.integration.status import SimulationError
 from spherejax.physics.laws.depth import AbstractDepth
+from spherejax.studies.wear.charts import AbstractChart, Joint
 from spherejax.studies.wear.contacts import CREEPING, ContactInstants
 from spherejax.studies.wear.cycles import Rate
-from spherejax.studies.wear.deposit import Joint, Maps, Told, rubbed
-from spherejax.studies.wear.sphere import cell_solid_angle, centers
+from spherejax.studies.wear.deposit import Maps, Told, rubbed
 
 LOST = 1e-9
 """What may be missing of the rubbing work on a map, as a share of it: rounding of sums."""
@@ -21,7 +21,7 @@ UNBALANCED = 1e-6
 
 NARROWEST, WIDEST = 0.8, 1.6
 """Rubbing work of patches over that of their resultants: 1 for small patches, 3/2 for a hemisphere pressed along its
-axis, less than 1 where it is rubbed across."""
+axis, pi/2 for half a bearing that is pressed evenly, less than 1 for a ball that is rubbed across."""
 
 
 class RubbingCycle(NamedTuple):
@@ -31,7 +31,7 @@ class RubbingCycle(NamedTuple):
         joint: its name.
         contacts: of the cycle.
         geometry: of the joint.
-        cells: n, of the maps along each side.
+        chart: of the maps.
         coefficients: k of socket and ball [m^2/N].
         shape: depths of the surfaces before any wear [m].
         approach: how far the ball goes beyond the clearance in each contact before any wear [m].
@@ -40,7 +40,7 @@ class RubbingCycle(NamedTuple):
     joint: str
     contacts: ContactInstants
     geometry: Joint
-    cells: int
+    chart: AbstractChart
     coefficients: tuple[float, float]
     shape: Maps
     approach: np.ndarray
@@ -48,13 +48,13 @@ class RubbingCycle(NamedTuple):
     @property
     def cell_area(self) -> float:
         """[m^2]."""
-        return float(self.geometry.radius) ** 2 * cell_solid_angle(self.cells)
+        return float(self.geometry.area) * self.chart.share
 
     def rubbed(self, depth: Maps) -> tuple[Maps, Told]:
         """Rubbing work by cell [J] with surfaces worn as deep as `depth` [m], and what is told of each contact."""
         contacts, shape = self.contacts, self.shape
         worn = Maps(shape.socket + depth.socket, shape.ball + depth.ball)
-        return rubbed(worn, contacts.contact, contacts.duration, self.geometry, self.cells)
+        return rubbed(worn, contacts.contact, contacts.duration, self.geometry, self.chart)
 
     def rate(self, depth: Maps) -> Rate:
         """What the cycle wears off.
@@ -63,7 +63,7 @@ class RubbingCycle(NamedTuple):
             SimulationError: where the maps miss some of the work, or a pressure does not balance its force.
         """
         if not len(self.contacts.duration):
-            return Rate(no_wear(self.cells), 0.0, 0.0)
+            return Rate(no_wear(self.chart), 0.0, 0.0)
         work, told = self.rubbed(depth)
         conserved(self.joint, work, told, self.contacts)
         (k_socket, k_ball), area = self.coefficients, self.cell_area
@@ -78,32 +78,33 @@ class RubbingCycle(NamedTuple):
         )
 
 
-def cycle_of(joint: str, model: Any, contacts: ContactInstants, cells: int, coefficients, shape: Maps) -> RubbingCycle:
+def cycle_of(
+    joint: str, geometry: Joint, contacts: ContactInstants, chart: AbstractChart, coefficients, shape: Maps
+) -> RubbingCycle:
     """The cycle of contacts that a run has told.
 
     Args:
         joint: name of the joint.
-        model: of the joint.
+        geometry: of the joint.
         contacts: of the cycle.
-        cells: of the maps along each side.
+        chart: of the maps.
         coefficients: k of socket and ball [m^2/N].
         shape: depths before any wear [m].
     """
-    geometry = Joint(jnp.asarray(float(model.clearance)), jnp.asarray(float(model.socket_radius)))
-    cycle = RubbingCycle(joint, contacts, geometry, cells, coefficients, shape, np.zeros(len(contacts.duration)))
+    cycle = RubbingCycle(joint, contacts, geometry, chart, coefficients, shape, np.zeros(len(contacts.duration)))
     if not len(contacts.duration):
         return cycle
-    return cycle._replace(approach=cycle.rubbed(no_wear(cells))[1].approach)
+    return cycle._replace(approach=cycle.rubbed(no_wear(chart))[1].approach)
 
 
-def no_wear(cells: int) -> Maps:
+def no_wear(chart: AbstractChart) -> Maps:
     """Depths of zero."""
-    return Maps(jnp.zeros(cells * cells), jnp.zeros(cells * cells))
+    return Maps(jnp.zeros(chart.size), jnp.zeros(chart.size))
 
 
-def shape_of(model: Any, cells: int) -> Maps:
+def shape_of(model: Any, chart: AbstractChart) -> Maps:
     """Depths of a joint's surfaces in the cells of maps [m]."""
-    u = jnp.asarray(centers(cells).reshape(-1, 3))
+    u = jnp.asarray(chart.centers)
     surfaces = model.surfaces
     return Maps(*(_sampled(depth, u) for depth in (surfaces.socket_depth, surfaces.ball_depth)))
 

@@ -1,4 +1,4 @@
-"""`sj.wear`: what a motion rubs off ball and socket, in one cycle and in many."""
+"""`sj.wear`: what a motion rubs off ball and socket, or journal and bearing, in one cycle and in many."""
 
 import warnings
 from typing import Any
@@ -10,21 +10,14 @@ from spherejax.foundations.checks import enforce, is_concrete
 from spherejax.foundations.errors import SceneError, one_of
 from spherejax.foundations.legal import non_negative, positive
 from spherejax.motion.results.trajectory import Trajectory
+from spherejax.physics.joints.journal import PlacedJournal
+from spherejax.physics.laws.cylinders import AbstractCylinder
+from spherejax.studies.wear.charts import AbstractChart, CircleChart, Joint, SphereChart
 from spherejax.studies.wear.contacts import ContactInstants, contacts_of
 from spherejax.studies.wear.cycles import Worn, over_cycles
 from spherejax.studies.wear.deposit import Maps, rubbed
 from spherejax.studies.wear.rubbing import RubbingCycle, conserved, cycle_of, no_wear, require_expected, shape_of
-from spherejax.studies.wear.sphere import cell_solid_angle
 from spherejax.studies.wear.wear_result import Checks, Wear, WearWarning
-
-CELLS_PER_PATCH = 4.0
-"""Cells from the middle of a patch to its edge, where the number of cells is chosen."""
-
-USUAL_CELLS = (96, 512)
-"""Fewest and most along each side of a map, where the number is chosen."""
-
-POSSIBLE_CELLS = (16, 2048)
-"""Fewer tell nothing, more take gigabytes."""
 
 POORLY_INTEGRATED = 0.01
 """Error of the rubbing work by the integration over time, as a share, from which it is warned."""
@@ -51,10 +44,11 @@ def wear(
     cycles: float = 1.0,
     window: tuple[float, float] | None = None,
     foundation: float | None = None,
+    length: float | None = None,
     cells: int | None = None,
     largest_block: float = 0.05,
 ) -> Wear:
-    """Depth of wear on ball and socket of a spherical joint, by Archard's law at every point.
+    """Depth of wear on ball and socket, or on journal and bearing, by Archard's law at every point.
 
     The run is one cycle, or `window` of it is. It is made once more to see its steps, as for `run.impacts`; what they
     tell of each contact, force, place, velocities, becomes a field of pressure and of sliding on the worn surfaces, and
@@ -63,7 +57,8 @@ def wear(
 
     Args:
         run: a single run that reached its end.
-        joint: a spherical joint with contact (`Dry`, or the contact of `Lubricated`); journals are refused.
+        joint: a spherical or revolute joint with contact (`Dry`, or the contact of `Lubricated`). The socket's side is
+            the bearing's, the ball's the journal's.
 
     Other args:
         k_socket, k_ball: wear coefficients of the socket's and the ball's material [m^2/N], 0 for one that does not
@@ -72,9 +67,11 @@ def wear(
         window: first and last instant of a cycle [s]; the whole run where None.
         foundation: stiffness k_w of the surfaces [N/m^3], pressure over depth, e.g. of a liner of thickness t
             E (1 - nu)/((1 + nu) (1 - 2 nu) t). None: at each instant as stiff as makes the patch on unworn surfaces as
-            wide as Hertz's at the run's penetration.
-        cells: of each map, along each side of the square on which the sphere is laid out; chosen where None so that a
-            typical patch has four from its middle to its edge.
+            wide as Hertz's: of a ball's at the run's penetration, of a journal's at its force, with the law of a
+            cylinder; beside a given stiffness, as soft as lets a journal go in as far as the run says.
+        length: of a bearing [m]; that of the contact's law where None.
+        cells: of each map, along each side of the square on which the sphere is laid out, or around a bearing; chosen
+            where None so that a typical patch has four from its middle to its edge, of a bearing sixteen.
         largest_block: by how much a block of cycles may deepen any place, as a share of the clearance.
 
     Returns:
@@ -84,7 +81,8 @@ def wear(
         SceneError: for a request that cannot be answered, before anything is computed.
         SimulationError: where a check of conservation fails.
 
-    Limits: the order of c/R is left out. Along the contact's direction the pressure carries the run's normal force;
+    Limits: the wear of a journal is the same all along its bearing; a rim of a journal that tilts is refused. The order
+    of c/R is left out. Along the contact's direction the pressure carries the run's normal force;
     what is left across it on worn surfaces is told, not balanced. Force, direction and sliding are those of the run for
     all cycles: once the wear is as deep as a good part of the clearance, take `sj.studies.wear_in`, or simulate again
     with `effective_clearance`. Rubbed off material is gone. The numbers are concrete, and the result is not traced: for
@@ -93,14 +91,16 @@ def wear(
     Source: Archard (1953); blocks of cycles after Mukras et al. (2009), see `spherejax.studies.wear.cycles`.
     """
     model = contact_model(run, joint)
-    coefficients = check_numbers(joint, k_socket, k_ball, cycles, foundation, cells, largest_block)
+    surface = surface_of(run, joint, length)
+    coefficients = check_numbers(joint, k_socket, k_ball, cycles, foundation, largest_block)
+    check_cells(joint, cells, surface[0])
     window = checked_window(run, window)
     ball_counts = ball_matters(model, k_ball)
-    contacts = contacts_of(run.system, run._steps, joint, window, run.scalar, foundation, ball_counts)
-    n = cells_for(contacts) if cells is None else int(cells)
-    cycle = cycle_of(joint, model, contacts, n, coefficients, shape_of(model, n))
+    contacts = contacts_of(run.system, run._steps, joint, window, run.scalar, surface, foundation, ball_counts)
+    chart = chart_for(surface[0], contacts, cells)
+    cycle = cycle_of(joint, surface[1], contacts, chart, coefficients, shape_of(model, chart))
     checks = checks_of(cycle)
-    states, diagnosis = over_cycles(cycle.rate, no_wear(n), float(cycles), largest_block * float(model.clearance))
+    states, diagnosis = over_cycles(cycle.rate, no_wear(chart), float(cycles), largest_block * float(model.clearance))
     remarks = [*remarks_on(cycle, checks, diagnosis), *_on_the_motion(cycle, states)]
     found = result_of(run, cycle, states, checks, diagnosis, remarks)
     for text in found.remarks:
@@ -120,14 +120,40 @@ def contact_model(run: Trajectory, joint: str) -> Any:
     if joint not in run.system.contact_joints:
         known = list(run.system.contact_joints)
         raise SceneError(f"joint {joint!r} has no contact that could wear; {one_of(known, str(joint))}")
-    if not run.system.spherical(joint).is_ball:
-        raise SceneError(
-            f"joint {joint!r} is a journal in its bearing: maps of wear are those of a ball and its socket. What "
-            "Archard's law rubs off in all is k times the integral of normal_force |sliding_velocity| over time"
-        )
     model: Any = run.system.spherical(joint).model
     run.require_success()
     return model
+
+
+def surface_of(run: Trajectory, joint: str, length: float | None) -> tuple[type[AbstractChart], Joint]:
+    """The kind of a joint's maps, and its geometry.
+
+    Raises:
+        SceneError: for a rim, and for a length that is missing, or that a ball has not.
+    """
+    placed = run.system.spherical(joint)
+    model: Any = placed.model
+    clearance, radius = jnp.asarray(float(model.clearance)), jnp.asarray(float(model.socket_radius))
+    if length is not None:
+        if isinstance(length, bool | str) or not is_concrete(length) or np.ndim(length) != 0:
+            raise SceneError(f"wear of joint {joint!r}: length = {length!r} must be a number")
+        enforce(f"wear of joint {joint!r}", [positive("length", length, "m")])
+    if placed.is_ball:
+        if length is not None:
+            raise SceneError(f"wear of joint {joint!r}: it is a ball in its socket, which has no length=; leave it out")
+        return SphereChart, Joint(clearance, radius, radius)
+    if not placed.is_parallel:
+        raise SceneError(
+            f"joint {joint!r} is a rim of a journal that tilts: the wear along such a bearing is not modelled. Take a "
+            "Revolute joint, whose journal stays parallel"
+        )
+    if length is None:
+        if not isinstance(model.conformity, AbstractCylinder):
+            raise SceneError(
+                f"wear of joint {joint!r}: how long its bearing is does not follow from its stiffness; give length= [m]"
+            )
+        length = float(model.conformity.length)
+    return CircleChart, Joint(clearance, radius, jnp.asarray(float(length)))
 
 
 def ball_matters(model: Any, k_ball: float) -> bool:
@@ -135,7 +161,7 @@ def ball_matters(model: Any, k_ball: float) -> bool:
     return k_ball > 0 or model.surfaces.ball_depth is not None
 
 
-def check_numbers(joint, k_socket, k_ball, cycles, foundation, cells, largest_block) -> tuple[float, float]:
+def check_numbers(joint, k_socket, k_ball, cycles, foundation, largest_block) -> tuple[float, float]:
     """Both wear coefficients, once all numbers are right."""
     for name, value in (("k_socket", k_socket), ("k_ball", k_ball), ("cycles", cycles), ("foundation", foundation),
                         ("largest_block", largest_block)):  # fmt: skip
@@ -159,13 +185,17 @@ def check_numbers(joint, k_socket, k_ball, cycles, foundation, cells, largest_bl
             f"wear of joint {joint!r}: a wear coefficient of {max(k_socket, k_ball):.3g} m^2/N is not one of a solid; "
             "tables in mm^3/(N m) are to be multiplied by 1e-9"
         )
-    is_whole = isinstance(cells, int | np.integer) and not isinstance(cells, bool)
-    if cells is not None and not (is_whole and POSSIBLE_CELLS[0] <= cells <= POSSIBLE_CELLS[1]):
-        raise SceneError(
-            f"wear of joint {joint!r}: cells = {cells!r} must be a whole number from {POSSIBLE_CELLS[0]} to "
-            f"{POSSIBLE_CELLS[1]}, or None"
-        )
     return float(k_socket), float(k_ball)
+
+
+def check_cells(joint: str, cells: Any, kind: type[AbstractChart]) -> None:
+    """Whether a number of cells is one of such maps."""
+    fewest, most = kind.possible_cells
+    is_whole = isinstance(cells, int | np.integer) and not isinstance(cells, bool)
+    if cells is not None and not (is_whole and fewest <= cells <= most):
+        raise SceneError(
+            f"wear of joint {joint!r}: cells = {cells!r} must be a whole number from {fewest} to {most}, or None"
+        )
 
 
 def checked_window(run: Trajectory, window) -> tuple[float, float] | None:
@@ -182,12 +212,13 @@ def checked_window(run: Trajectory, window) -> tuple[float, float] | None:
     return first, last
 
 
-def cells_for(contacts: ContactInstants) -> int:
-    """As many as give a typical patch, the mean over the load, `CELLS_PER_PATCH` from its middle to its edge."""
+def chart_for(kind: type[AbstractChart], contacts: ContactInstants, cells: int | None) -> AbstractChart:
+    """With as many cells as are asked for, or as resolve a typical patch, the mean over the load."""
+    if cells is not None:
+        return kind(int(cells))
     if not len(contacts.duration):
-        return USUAL_CELLS[0]
-    needed = CELLS_PER_PATCH * np.sqrt(4 * np.pi) / _typical_half_angle(contacts)
-    return int(np.clip(16 * np.ceil(needed / 16), *USUAL_CELLS))
+        return kind(kind.usual_cells[0])
+    return kind(kind.cells_for(_typical_half_angle(contacts)))
 
 
 def _typical_half_angle(contacts: ContactInstants) -> float:
@@ -214,17 +245,17 @@ def checks_of(cycle: RubbingCycle) -> Checks:
     Raises:
         SimulationError: where something is not conserved.
     """
-    contacts, n = cycle.contacts, cycle.cells
+    contacts, chart = cycle.contacts, cycle.chart
     if not len(contacts.duration):
         return Checks(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, np.inf, 0, 0)
-    work, told = cycle.rubbed(no_wear(n))
-    elsewhere = _elsewhere(work, rubbed(cycle.shape, *contacts.coarser, cycle.geometry, n)[0], cycle.coefficients)
+    work, told = cycle.rubbed(no_wear(chart))
+    elsewhere = _elsewhere(work, rubbed(cycle.shape, *contacts.coarser, cycle.geometry, chart)[0], cycle.coefficients)
     lost, unbalanced = conserved(cycle.joint, work, told, contacts)
     require_expected(cycle.joint, float(told.power @ contacts.duration), contacts)
     weights = told.power * contacts.duration
     total = float(weights.sum())
     radius = float(weights @ told.radius) / total if total > 0 else float(np.mean(told.radius))
-    width = float(radius / np.sqrt(cell_solid_angle(n)))
+    width = float(radius / chart.cell_width)
     return Checks(
         lost, unbalanced, contacts.slid, total, contacts.error, elsewhere, width, contacts.looked_at, len(weights)
     )
@@ -255,7 +286,7 @@ def remarks_on(cycle: RubbingCycle, checks: Checks, diagnosis: str) -> list[str]
     if len(contacts.duration) and (typical := _typical_half_angle(contacts)) > WIDE:
         remarks.append(
             f"wear of joint {joint!r}: a typical patch reaches {np.degrees(typical):.3g} degrees from its middle, "
-            "almost a hemisphere: the surfaces are soft for their load. Check the unit of foundation=, N/m^3"
+            "almost half of all around: the surfaces are soft for their load. Check the unit of foundation=, N/m^3"
         )
     return remarks
 
@@ -281,10 +312,20 @@ def result_of(run: Trajectory, cycle: RubbingCycle, states, checks: Checks, diag
         coefficients=cycle.coefficients,
         clearance=float(cycle.geometry.clearance),
         radius=float(cycle.geometry.radius),
-        cells=cycle.cells,
+        chart=cycle.chart,
+        area=float(cycle.geometry.area),
+        axes=axes_of(run, cycle.joint),
         span=cycle.contacts.span,
         states=tuple(states),
         checks=checks,
         diagnosis=diagnosis,
         remarks=tuple(remarks),
     )
+
+
+def axes_of(run: Trajectory, joint: str) -> tuple[np.ndarray, np.ndarray]:
+    """Axes in which the maps of both sides are laid out, in those of their bodies, as columns."""
+    placed = run.system.spherical(joint)
+    if not isinstance(placed, PlacedJournal):
+        return np.eye(3), np.eye(3)
+    return np.asarray(placed.frame), np.asarray(placed.frame_on_journal)

@@ -27,8 +27,9 @@ from spherejax.motion.integration.status import SimulationError
 from spherejax.motion.results.trajectory import Trajectory
 from spherejax.motion.runs.simulate import simulate
 from spherejax.physics.joints.dry import Dry
-from spherejax.physics.laws.depth import LARGEST_DEGREE, HarmonicDepth
+from spherejax.physics.joints.spherical import Spherical
 from spherejax.studies.progress import telling
+from spherejax.studies.wear.charts import AbstractChart, CircleChart, Joint, SphereChart
 from spherejax.studies.wear.contacts import contacts_of
 from spherejax.studies.wear.cycles import Rate, Worn, over_cycles
 from spherejax.studies.wear.deposit import Maps
@@ -36,13 +37,15 @@ from spherejax.studies.wear.gap import Profiles, fitted, misfit
 from spherejax.studies.wear.rubbing import LOST, RubbingCycle, cycle_of, no_wear, shape_of
 from spherejax.studies.wear.study import (
     ball_matters,
-    cells_for,
+    chart_for,
+    check_cells,
     check_numbers,
     checked_window,
     checks_of,
     contact_model,
     remarks_on,
     result_of,
+    surface_of,
 )
 from spherejax.studies.wear.wear_in_result import WearBlock, WearIn
 from spherejax.studies.wear.wear_result import WearWarning
@@ -76,22 +79,23 @@ def wear_in(
     cycles: float,
     window: tuple[float, float] | None = None,
     foundation: float | None = None,
+    length: float | None = None,
     cells: int | None = None,
-    degree: int = 8,
+    degree: int | None = None,
     tolerance: float = 0.02,
     largest_block: float = 0.05,
     progress: bool | Callable[[str], None] = True,
     **options: Any,
 ) -> WearIn:
-    """Wear of ball and socket over many cycles, by Archard's law, with a motion that follows the worn surfaces.
+    """Wear of a joint over many cycles, by Archard's law, with a motion that follows the worn surfaces.
 
     The cycle is simulated, its wear is extrapolated over a block of cycles, and the surfaces that it leaves are the
     joint's gap in the next cycle that is simulated: `socket_depth` and `ball_depth` of `Dry`, as harmonics that are
-    fitted to how much farther the ball goes on the maps of depth.
+    fitted to how much farther the ball goes on the maps of depth. Of a journal in its bearing the same around the axis.
 
     Args:
         scene: what is simulated.
-        joint: a spherical joint with a `Dry` model.
+        joint: a spherical or revolute joint with a `Dry` model.
         ts: sample times of a run [s]: from the start of the scene to the end of a cycle.
 
     Other args:
@@ -101,8 +105,10 @@ def wear_in(
         window: first and last instant of the cycle [s]; the whole run where None. Leave out how the motion settles: on
             worn surfaces the scene starts as it is described.
         foundation: stiffness of the surfaces [N/m^3], as for `sj.wear`; None: matched to Hertz's.
-        cells: of each map along each side, as for `sj.wear`; chosen where None.
-        degree: L of the harmonics that the motion feels: they resolve 180/L degrees.
+        length: of a bearing [m], as for `sj.wear`; that of the contact's law where None.
+        cells: of each map along each side, or around, as for `sj.wear`; chosen where None.
+        degree: L of the harmonics that the motion feels: they resolve 180/L degrees; 8 of a ball, 16 of a journal where
+            None.
         tolerance: largest error of a block, as a share of the deepest wear at its end, or of a millionth of the
             clearance where no wear is as deep.
         largest_block: by how much a step within a block may deepen any place, as a share of the clearance.
@@ -121,9 +127,11 @@ def wear_in(
     and `misfit` says how far it is off. Their stiffness is that of mean radii, see `Dry`. Each cycle starts where the
     scene does. Numbers are concrete, and the result is not traced.
     """
-    coefficients = check_numbers(joint, k_socket, k_ball, cycles, foundation, cells, largest_block)
-    _check(scene, joint, degree, tolerance)
-    study = _WearStudy(scene, joint, ts, window, foundation, degree, coefficients[1], options)
+    coefficients = check_numbers(joint, k_socket, k_ball, cycles, foundation, largest_block)
+    kind = _check(scene, joint, degree, tolerance)
+    check_cells(joint, cells, kind)
+    degree = kind.degree if degree is None else degree
+    study = _WearStudy(scene, joint, ts, window, foundation, length, kind, degree, coefficients[1], options)
     with telling(progress, "wear") as tell:
         tell("the first cycle")
         run = study.run_on(None)
@@ -132,10 +140,10 @@ def wear_in(
         contacts = study.contacts(run)
         if not len(contacts.duration):
             raise SceneError(f"joint {joint!r}: nothing rubs in the cycle, so nothing wears; choose another window=")
-        n = cells_for(contacts) if cells is None else int(cells)
-        cycle = cycle_of(joint, model, contacts, n, coefficients, shape_of(model, n))
+        chart = chart_for(kind, contacts, cells)
+        cycle = cycle_of(joint, study.surface(run)[1], contacts, chart, coefficients, shape_of(model, chart))
         checks = checks_of(cycle)
-        here = Worn(0.0, no_wear(n), cycle.rate(no_wear(n)))
+        here = Worn(0.0, no_wear(chart), cycle.rate(no_wear(chart)))
         states, blocks = [here], [WearBlock(None, None, 0.0, 0.0, *_of_motion(cycle))]
         largest_step = largest_block * float(model.clearance)
         block, diagnosis, failures = LARGEST_SHARE * cycles, "", 0
@@ -153,7 +161,7 @@ def wear_in(
             block = left if left < block * (1 + 1e-9) else block
             tell(f"{here.cycles:.4g} of {cycles:.4g} cycles, a block of {block:.3g}")
             try:
-                tried = _block(study, model, cycle, here, block, largest_step)
+                tried = _block(study, cycle, here, block, largest_step)
             except _StoppedError as failure:
                 failures += 1
                 if failures > MOST_FAILURES:
@@ -179,7 +187,7 @@ def wear_in(
         warnings.warn(text, WearWarning, stacklevel=2)
     last = blocks[-1]
     worn_scene = study.scene_with(Profiles(last.socket, last.ball))
-    return WearIn(maps, tuple(blocks), degree, worn_scene, run)
+    return WearIn(maps, tuple(blocks), int(degree), worn_scene, run)
 
 
 # A block --------------------------------------------------------------------------------------------------------------
@@ -197,6 +205,8 @@ class _WearStudy(NamedTuple):
     ts: Any
     window: Any
     foundation: float | None
+    length: float | None
+    kind: type[AbstractChart]
     degree: int
     k_ball: float
     options: dict[str, Any]
@@ -205,7 +215,7 @@ class _WearStudy(NamedTuple):
         """The scene with profiles in place of its joint's depths; with None as it is."""
         if profiles is None or (profiles.socket is None and profiles.ball is None):
             return self.scene
-        depths = [None if a is None else HarmonicDepth(a) for a in (profiles.socket, profiles.ball)]
+        depths = [None if a is None else self.kind.profile(a) for a in (profiles.socket, profiles.ball)]
 
         def depths_of(scene):
             model = scene.joints[self.joint].model
@@ -217,12 +227,18 @@ class _WearStudy(NamedTuple):
         """A run on surfaces with these profiles."""
         return simulate(self.scene_with(profiles), self.ts, **self.options)
 
+    def surface(self, run: Trajectory) -> tuple[type[AbstractChart], Joint]:
+        """The kind of the maps, and the joint's geometry."""
+        return surface_of(run, self.joint, self.length)
+
     def contacts(self, run: Trajectory):
         """The contacts of a run's cycle."""
         window = checked_window(run, self.window)
         model: Any = run.system.spherical(self.joint).model
         counts = ball_matters(model, self.k_ball)
-        return contacts_of(run.system, run._steps, self.joint, window, run.scalar, self.foundation, counts)
+        return contacts_of(
+            run.system, run._steps, self.joint, window, run.scalar, self.surface(run), self.foundation, counts
+        )
 
 
 class _TriedBlock(NamedTuple):
@@ -235,11 +251,9 @@ class _TriedBlock(NamedTuple):
     told: WearBlock
 
 
-def _block(
-    study: _WearStudy, model: Any, cycle: RubbingCycle, here: Worn, block: float, largest_step: float
-) -> _TriedBlock:
+def _block(study: _WearStudy, cycle: RubbingCycle, here: Worn, block: float, largest_step: float) -> _TriedBlock:
     first = _extrapolated(cycle.rate, here.depth, block, largest_step)
-    after, _, _ = _simulated(study, model, cycle, first.depth)
+    after, _, _ = _simulated(study, cycle, first.depth)
 
     def mean_rate(depth: Maps) -> Rate:
         return _mean(cycle.rate(depth), after.rate(depth))
@@ -248,8 +262,8 @@ def _block(
     apart = max(float(jnp.max(jnp.abs(a - b))) for a, b in zip(first.depth, second.depth, strict=True))
     # Wear of a millionth of the clearance changes no motion; where next to nothing rubs, depths are rounding.
     deepest = max(float(jnp.max(each)) for each in second.depth)
-    error = apart / max(deepest, NEGLIGIBLE * float(model.clearance))
-    end, run, profiles = _simulated(study, model, after, second.depth)
+    error = apart / max(deepest, NEGLIGIBLE * float(cycle.geometry.clearance))
+    end, run, profiles = _simulated(study, after, second.depth)
     volume = here.volume[0] + second.volume[0], here.volume[1] + second.volume[1]
     worn = Worn(0.0, second.depth, end.rate(second.depth), volume)
     # How well the profiles serve is asked of the contacts that they have led to.
@@ -270,9 +284,7 @@ def _mean(one: Rate, other: Rate) -> Rate:
     return Rate(depth, 0.5 * (one.approach + other.approach), 0.5 * (one.aside + other.aside), (socket, ball))
 
 
-def _simulated(
-    study: _WearStudy, model: Any, cycle: RubbingCycle, depth: Maps
-) -> tuple[RubbingCycle, Trajectory, Profiles]:
+def _simulated(study: _WearStudy, cycle: RubbingCycle, depth: Maps) -> tuple[RubbingCycle, Trajectory, Profiles]:
     """The cycle on worn surfaces; where the surfaces meet, and how loaded, says the cycle before."""
     profiles = fitted(cycle, depth, cycle.rubbed(depth)[1], study.degree)
     try:
@@ -286,7 +298,8 @@ def _simulated(
         raise _StoppedError(str(error)) from error
     if not len(contacts.duration):
         raise _StoppedError("nothing rubs in the cycle any more")
-    return cycle_of(cycle.joint, model, contacts, cycle.cells, cycle.coefficients, cycle.shape), run, profiles
+    after = cycle_of(cycle.joint, cycle.geometry, contacts, cycle.chart, cycle.coefficients, cycle.shape)
+    return after, run, profiles
 
 
 def _of_motion(cycle: RubbingCycle) -> tuple[float, float]:
@@ -297,7 +310,8 @@ def _of_motion(cycle: RubbingCycle) -> tuple[float, float]:
 # What is asked for, and what is checked -------------------------------------------------------------------------------
 
 
-def _check(scene: Any, joint: Any, degree: Any, tolerance: Any) -> None:
+def _check(scene: Any, joint: Any, degree: Any, tolerance: Any) -> type[AbstractChart]:
+    """What can be answered before anything is simulated; the kind of the joint's maps."""
     if not isinstance(scene, Scene):
         raise SceneError(f"wear_in takes a scene, which it simulates again and again, and not {type(scene).__name__}")
     if joint not in scene.joints:
@@ -308,12 +322,15 @@ def _check(scene: Any, joint: Any, degree: Any, tolerance: Any) -> None:
             f"joint {joint!r}: its model is {type(model).__name__}, and surfaces that wear in the motion are those of "
             "Dry; for the contact of a lubricated joint take sj.wear"
         )
-    whole_number("degree", degree, "Give the degree of the harmonics, e.g. degree=8.")
-    if degree > LARGEST_DEGREE:
-        raise SceneError(f"degree = {degree} must be at most {LARGEST_DEGREE}")
+    kind = SphereChart if isinstance(scene.joints[joint], Spherical) else CircleChart
+    if degree is not None:
+        whole_number("degree", degree, "Give the degree of the harmonics, e.g. degree=8.")
+        if degree > kind.largest_degree:
+            raise SceneError(f"degree = {degree} must be at most {kind.largest_degree}")
     if isinstance(tolerance, bool | str) or not is_concrete(tolerance) or np.ndim(tolerance) != 0:
         raise SceneError(f"wear of joint {joint!r}: tolerance = {tolerance!r} must be a number")
     enforce(f"wear of joint {joint!r}", [positive("tolerance", tolerance, "1")])
+    return kind
 
 
 def _require_kept(cycle: RubbingCycle, worn: Worn) -> None:

@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from spherejax.model.scene import Scene
 from spherejax.motion.results.trajectory import Trajectory
-from spherejax.physics.laws.depth import HarmonicDepth
+from spherejax.physics.laws.depth import AbstractDepth
 from spherejax.studies.wear.wear_result import SIDES, Wear
 
 if TYPE_CHECKING:
@@ -22,7 +22,8 @@ class WearBlock(NamedTuple):
     """What is told at the end of a block of cycles; the first one is the joint as it is described.
 
     Attributes:
-        socket: coefficients of the socket's profile that the motion feels, as of `HarmonicDepth` [m]; None: round.
+        socket: coefficients of the socket's profile that the motion feels, as of `HarmonicDepth` or of a journal's
+            `FourierDepth` [m]; None: round.
         ball: those of the ball.
         misfit: root mean square over the contacts, by their rubbing work, of how much farther the ball goes on the maps
             than on the profiles [m].
@@ -41,7 +42,7 @@ class WearBlock(NamedTuple):
 
 @dataclass(frozen=True)
 class WearIn:
-    """Wear of ball and socket with a motion that follows the worn surfaces; prints as text.
+    """Wear of a joint with a motion that follows the worn surfaces; prints as text.
 
     Attributes:
         wear: maps, volumes and depths along the cycles, as of `sj.wear`; its checks are of the first cycle.
@@ -80,7 +81,7 @@ class WearIn:
         """Largest depth at each of `cycles` [m]."""
         return self.wear.deepest(side)
 
-    def depth(self, side: str, block: int = -1) -> Float[np.ndarray, "n n"]:
+    def depth(self, side: str, block: int = -1) -> Float[np.ndarray, "*shape"]:
         """Depth of wear of each cell [m]; after all cycles where no block is given."""
         return self.wear.depth(side, block)
 
@@ -95,11 +96,11 @@ class WearIn:
         large."""
         return np.array([block.error for block in self.blocks])
 
-    def profile(self, side: str, block: int = -1) -> HarmonicDepth | None:
+    def profile(self, side: str, block: int = -1) -> AbstractDepth | None:
         """The depth of a side that the motion feels; None where it is round."""
         coefficients = self.blocks[block].socket if side == "socket" else self.blocks[block].ball
         self.wear.depth(side)  # answers a side that is none
-        return None if coefficients is None else HarmonicDepth(coefficients)
+        return None if coefficients is None else self.wear.chart.profile(coefficients)
 
     def lost_volume(self, side: str) -> float:
         """By how much the mean of the last profile differs from the mean of the map, as a share of that.
@@ -121,7 +122,7 @@ class WearIn:
         ):
             values = np.array([getattr(block, name) for block in self.blocks])
             data[name] = ("cycle",), values, {"units": unit, "long_name": what}
-        size = (self.degree + 1) ** 2
+        size = self.wear.chart.harmonics(self.wear.chart.centers[:1], self.degree).shape[1]
         for side in SIDES:
             rows = [getattr(block, side) for block in self.blocks]
             values = np.stack([np.zeros(size) if row is None else row for row in rows])

@@ -10,8 +10,8 @@ from jaxtyping import Float
 
 from spherejax.foundations.errors import SceneError
 from spherejax.motion.results.dataset import AXES
+from spherejax.studies.wear.charts import AbstractChart
 from spherejax.studies.wear.cycles import Worn
-from spherejax.studies.wear.sphere import cell_solid_angle, centers, sampled
 
 if TYPE_CHECKING:
     import xarray
@@ -53,7 +53,7 @@ class Checks(NamedTuple):
 
 @dataclass(frozen=True)
 class Wear:
-    """Wear of ball and socket; prints as text.
+    """Wear of a joint; prints as text. Of a journal "socket" is the bearing's side, and "ball" the journal's.
 
     Attributes:
         joint: its name.
@@ -61,7 +61,9 @@ class Wear:
         coefficients: k of the socket's and the ball's material [m^2/N].
         clearance: c of the unworn joint [m].
         radius: R of the socket [m].
-        cells: of a map along each side.
+        chart: of the maps.
+        area: of what a chart lays out as its unit [m^2]: R^2 of a ball, R L of a journal.
+        axes: of the maps of both sides in those of their bodies, as columns: a journal's z is along its axis.
         span: first and last instant of the cycle [s].
         states: of wear, after each block of cycles.
         checks: what was checked of the first cycle.
@@ -74,7 +76,9 @@ class Wear:
     coefficients: tuple[float, float]
     clearance: float
     radius: float
-    cells: int
+    chart: AbstractChart
+    area: float
+    axes: tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3 3"]]
     span: tuple[float, float]
     states: tuple[Worn, ...]
     checks: Checks
@@ -91,8 +95,23 @@ class Wear:
         """Numbers of cycles after which the wear is told."""
         return np.array([state.cycles for state in self.states])
 
-    def depth(self, side: str, block: int = -1) -> Float[np.ndarray, "n n"]:
-        """Depth of wear of each cell [m].
+    @property
+    def cells(self) -> int:
+        """n, of a map along each side, or around a bearing."""
+        return self.chart.n
+
+    def called(self, side: str) -> str:
+        """What a side is: "socket" or "ball", "bearing" or "journal"."""
+        names = SIDES if self.chart.is_ball else ("bearing", "journal")
+        return names[_number(side)]
+
+    @property
+    def cell_area(self) -> float:
+        """[m^2]."""
+        return self.area * self.chart.share
+
+    def depth(self, side: str, block: int = -1) -> Float[np.ndarray, "*shape"]:
+        """Depth of wear of each cell [m], shape (n, n), or (n,) around a bearing.
 
         Args:
             side: "socket" or "ball".
@@ -101,23 +120,29 @@ class Wear:
         Raises:
             SceneError: for another side.
         """
-        return np.asarray(self.states[block].depth[_number(side)]).reshape(self.cells, self.cells)
+        return np.asarray(self.states[block].depth[_number(side)]).reshape(self.chart.shape)
 
     @property
-    def directions(self) -> Float[np.ndarray, "n n 3"]:
-        """Unit vectors to the cells: from the socket's center in axes of its body, from the ball's in those of its."""
-        return centers(self.cells)
+    def directions(self) -> Float[np.ndarray, "*shape 3"]:
+        """Unit vectors to the cells: from the socket's center in axes of its body, from the ball's in those of its.
+
+        Around a bearing in the joint's axes, with z along it; `axes` has those of both bodies.
+        """
+        return self.chart.centers.reshape(*self.chart.shape, 3)
 
     def depth_at(self, side: str, u: Float[np.ndarray, "q 3"], block: int = -1) -> Float[np.ndarray, " q"]:
-        """Depth of wear at unit vectors in the axes of the side's body [m], interpolated between the cells."""
-        u = np.asarray(u, float)
+        """Depth of wear at unit vectors in the axes of the side's body [m], interpolated between the cells.
+
+        Around a bearing the part of the vectors across its axis counts.
+        """
+        u = np.asarray(u, float) @ self.axes[_number(side)]
         u = u / np.linalg.norm(u, axis=-1, keepdims=True)
-        found = sampled(np.asarray(self.depth(side, block)).ravel(), u.reshape(-1, 3), self.cells)
+        found = self.chart.sampled(np.asarray(self.depth(side, block)).ravel(), u.reshape(-1, 3))
         return np.asarray(found).reshape(u.shape[:-1])
 
     def volumes(self, side: str) -> Float[np.ndarray, " b"]:
         """What was rubbed off until each of `cycles` [m^3]."""
-        return self._of_all(side, np.sum) * self.radius**2 * cell_solid_angle(self.cells)
+        return self._of_all(side, np.sum) * self.cell_area
 
     def deepest(self, side: str) -> Float[np.ndarray, " b"]:
         """Largest depth at each of `cycles` [m]."""
@@ -130,12 +155,12 @@ class Wear:
     @property
     def volume_per_cycle(self) -> dict[str, float]:
         """What the first cycle rubs off each side [m^3]."""
-        area = self.radius**2 * cell_solid_angle(self.cells)
-        return {s: float(np.sum(np.asarray(self.states[0].rate.depth[_number(s)]))) * area for s in SIDES}
+        sums = {s: float(np.sum(np.asarray(self.states[0].rate.depth[_number(s)]))) for s in SIDES}
+        return {s: total * self.cell_area for s, total in sums.items()}
 
-    def depth_per_cycle(self, side: str, block: int = 0) -> Float[np.ndarray, "n n"]:
+    def depth_per_cycle(self, side: str, block: int = 0) -> Float[np.ndarray, "*shape"]:
         """What a cycle deepens each cell by [m]; of the first cycle where no block is given."""
-        return np.asarray(self.states[block].rate.depth[_number(side)]).reshape(self.cells, self.cells)
+        return np.asarray(self.states[block].rate.depth[_number(side)]).reshape(self.chart.shape)
 
     @property
     def effective_clearance(self) -> Float[np.ndarray, " b"]:
@@ -162,21 +187,21 @@ class Wear:
             ("cycle",), self.effective_clearance, _words("m", "clearance of an unworn joint that gives way as far")
         )  # fmt: skip
         columns["aside"] = ("cycle",), self.aside, _words("1", "unbalanced resultant across, over the normal force")
-        on_map = "side", "row", "column"
+        places = ("row", "column") if self.chart.is_ball else ("around",)
+        on_map = "side", *places
         depths = np.stack([self.depth(s) for s in SIDES])
         columns["depth"] = on_map, depths, _words("m", "depth of wear after all cycles")
         rates = np.stack([self.depth_per_cycle(s) for s in SIDES])
         columns["depth_per_cycle"] = on_map, rates, _words("m", "depth of wear of the first cycle")
         columns["direction"] = (
-            ("row", "column", "axis"), self.directions, _words("1", "unit vector to the cell, axes of the side's body")
+            (*places, "axis"), self.directions, _words("1", f"unit vector to the cell, axes of the {self._whose}")
         )  # fmt: skip
         coordinates = {
             "cycle": ("cycle", self.cycles, _words("1", "number of cycles")),
             "side": list(SIDES),
             "body": ("side", list(self.bodies)),
             "k": ("side", np.array(self.coefficients), _words("m^2/N", "wear coefficient")),
-            "row": rows,
-            "column": rows,
+            **{place: rows for place in places},
             "axis": list(AXES),
         }
         attributes = {
@@ -185,11 +210,15 @@ class Wear:
             "socket_radius": self.radius,
             "cycle_begins": self.span[0],
             "cycle_ends": self.span[1],
-            "cell_area": self.radius**2 * cell_solid_angle(self.cells),
+            "cell_area": self.cell_area,
             **{f"check_{name}": value for name, value in self.checks._asdict().items()},
             "remarks": " ".join(self.remarks) or "none",
         }
         return xarray.Dataset(columns, coordinates, attributes)
+
+    @property
+    def _whose(self) -> str:
+        return "side's body" if self.chart.is_ball else "joint"
 
     def save(self, path: str | os.PathLike, *, overwrite: bool = False) -> Path:
         """Write the data set: everything to netCDF (.nc), or a row for each of `cycles` to a table (.csv).
@@ -223,11 +252,11 @@ def _text_of(worn: Wear) -> str:
     checks, until = worn.checks, worn.cycles[-1]
     lines = [
         f"Wear of joint {worn.joint} in {until:.6g} cycles of {worn.span[1] - worn.span[0]:.4g} s, "
-        f"{len(worn.states) - 1} blocks, maps of {worn.cells} x {worn.cells} cells"
+        f"{len(worn.states) - 1} blocks, maps of {' x '.join(str(n) for n in worn.chart.shape)} cells"
     ]
     for side, body, k in zip(SIDES, worn.bodies, worn.coefficients, strict=True):
         lines.append(
-            f"{side} ({body}, k = {k:.3g} m^2/N): {worn.volumes(side)[-1]:.4g} m^3 rubbed off, "
+            f"{worn.called(side)} ({body}, k = {k:.3g} m^2/N): {worn.volumes(side)[-1]:.4g} m^3 rubbed off, "
             f"{worn.deepest(side)[-1]:.4g} m deep; the first cycle {worn.volume_per_cycle[side]:.4g} m^3"
         )
     lines.append(
@@ -244,10 +273,16 @@ def _text_of(worn: Wear) -> str:
 
 
 def _figure_of(worn: Wear) -> "Figure":
-    from spherejax.output.plot.wear import WearMap, wear_figure
+    from spherejax.output.plot.wear import WearMap, WearRing, wear_figure
 
-    maps = []
+    maps: list[WearMap | WearRing] = []
     for side, body in zip(SIDES, worn.bodies, strict=True):
+        if not worn.chart.is_ball:
+            angles = np.degrees(np.arctan2(worn.directions[:, 1], worn.directions[:, 0]))
+            order, name = np.argsort(angles), worn.called(side)
+            depths, along = 1e6 * worn.depth(side)[order], (1e9 * worn.volumes(side), 1e6 * worn.deepest(side))
+            maps.append(WearRing(f"{name}, body {body!r}", angles[order], depths, *along))
+            continue
         maps.append(
             WearMap(
                 f"{side}, body {body!r}",
