@@ -79,7 +79,12 @@ def as_ideal(system: System) -> System:
 def assemble(structure: Structure, theta: Numeric, t: Scalar | float = 0.0) -> Assembly:
     """Move bodies and velocities to a consistent start at time t [s]; for traced numbers, and differentiable."""
     functions = (newton_step, consistent_velocities, assembly_residuals)
-    step, project, residual = (program_for(each, structure, largest=LARGEST_OF_START) for each in functions)
+    programs = [program_for(each, structure, largest=LARGEST_OF_START) for each in functions]
+    if any(program.scalar is None for program in programs):
+        # One that is small enough would be numbers among arrays: of 50 bodies thousands, one by one, and with their
+        # derivatives XLA takes 20 s for these alone.
+        programs = [program_for(each, structure, False) for each in functions]
+    step, project, residual = programs
     described = described_state(structure.system(theta))
     t = jnp.asarray(t, jnp.float64)
     moved = jax.lax.fori_loop(0, N_NEWTON_STEPS, lambda _, y: step(theta, t, y), described)
