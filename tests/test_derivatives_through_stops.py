@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import spherejax as sj
+from spherejax.motion.derivatives import sensitivities
 
 NEAR, FAR = 0.32, -0.1
 """Where the ball touches the two stops [m]."""
@@ -247,14 +248,27 @@ def test_a_sweep_records_them():
     np.testing.assert_allclose(slopes[..., 0, 0], 1.0, atol=1e-6)  # it has touched both
 
 
-def test_the_reverse_sweep_says_that_it_is_not_sure():
-    """Right to 2e-9 after one impact on 1e8 N/m, but wrong by 7e-4 after three."""
+def test_back_along_the_steps():
+    """It was wrong by 7e-3 after the third stop, through which the run that is gone back had fallen."""
 
     def last(run):
         return run.position("ball")[-1, 0]
 
-    with pytest.raises(sj.SimulationWarning, match=r"'far' and 'near'.*mode='forward'"):  # warnings are errors here
-        sj.sensitivity(ball_scene, {"stiffness": 1e8, "start": 0.0}, np.array([0.0, 0.5]), of=last, mode="reverse")
+    numbers = {"stiffness": 1e6, "start": 0.0, "speed": 1.0, "mass": 1.0}
+    at, ts = jnp.array(list(numbers.values())), np.array([0.0, 1.9])
+    found = sj.sensitivity(ball_scene, numbers, ts, of=last, mode="reverse")
+    slopes = np.asarray(found.columns[0].slopes).ravel()
+    exact_slopes = np.asarray(jax.grad(lambda at: exact(*at, 1.9)[0])(at))
+    np.testing.assert_allclose(slopes * [1e6, 1, 1, 1], exact_slopes * [1e6, 1, 1, 1], atol=1e-7)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("make", "far"), [(ball_scene, FAR), (socket_scene, -NEAR)], ids=["stops", "contact"])
+@pytest.mark.parametrize("stiffness", [1e6, 1e8])
+def test_gradients_of_many_numbers_go_back_through_kinks(make, far, stiffness, monkeypatch):
+    monkeypatch.setattr(sensitivities, "MANY", 3)
+    at, lasts = touch_of(stiffness)
+    assert errors(stiffness, [at + 0.4 * lasts, 0.5, 1.9], jax.jacrev, far=far, make=make) < 1e-7
 
 
 def end_of_bounce(law, start, **options):

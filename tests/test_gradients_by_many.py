@@ -4,7 +4,7 @@ Closed forms of an oscillator that forty sines drive, along one direction and ba
 gradients against derivatives along directions, which are integrated beside the run, with their errors controlled.
 """
 
-from typing import Any
+from collections.abc import Callable
 
 import controlling
 import diffrax
@@ -191,28 +191,73 @@ def test_a_run_with_more_steps_than_there_is_room_for_is_cut(monkeypatch):
     np.testing.assert_allclose(cut, whole, atol=1e-5 * np.abs(whole).max())
 
 
-@pytest.mark.slow
-def test_by_all_numbers_of_a_mechanism_with_contact():
-    """Rows for all numbers, whose errors are controlled one by one, are the reference: the exponent brings them."""
+def four_bar_by_numbers() -> tuple[Callable, jax.Array]:
+    """The height of the rocker of a dry four-bar at the end, as a function of all numbers of its scene."""
     scene = sj.gallery.four_bar(sj.Dry(1e-4, friction=sj.Threlfall()))
-
-    def exponent_of(scene: Any) -> Any:
-        return scene.joints["coupler_rocker"].model.normal.exponent
-
     numbers, rest = eqx.partition(scene, lambda leaf: isinstance(leaf, float) or eqx.is_inexact_array(leaf))
-    leaves, tree = jax.tree.flatten(numbers)
-    leaves = [jnp.asarray(leaf, jnp.float64) for leaf in leaves]
+    flat, unflatten = jax.flatten_util.ravel_pytree(jax.tree.map(jnp.asarray, numbers))
 
-    def height(leaves, exponent=None):
-        whole = eqx.combine(jax.tree.unflatten(tree, leaves), rest)
-        whole = eqx.tree_at(exponent_of, whole, exponent_of(scene) if exponent is None else exponent)
-        return sj.simulate(whole, jnp.array([0.0, 0.1]), rtol=1e-9).position("rocker")[-1, 2]
+    def height(flat, rtol=1e-9):
+        whole = eqx.combine(unflatten(flat), rest)
+        return sj.simulate(whole, jnp.array([0.0, 0.1]), rtol=rtol).position("rocker")[-1, 2]
 
-    back = jax.tree.leaves(jax.jit(jax.grad(height))(leaves))
-    rows = jax.tree.leaves(jax.jit(jax.grad(height))(leaves, 1.5 + 0 * leaves[0].ravel()[0]))
-    largest = max(float(jnp.max(jnp.abs(leaf))) for leaf in rows)
-    for one, other in zip(back, rows, strict=True):
-        np.testing.assert_allclose(one, other, atol=1e-6 * largest)
+    return height, flat
+
+
+def test_a_traced_exponent_needs_no_rows():
+    """It may be one whose stiffness is there at once; the way back goes through such contacts as well."""
+    height, flat = four_bar_by_numbers()
+    operations = str(jax.make_jaxpr(jax.grad(height))(flat))
+    assert "linear_operation" in operations
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("exponent", "stiffness"), [(1.0, 1e5), (1.05, 1e5), (1.2, 1e6), (1.4, 1e7), (2.0, 1e10)])
+def test_through_contacts_of_any_exponent(exponent, stiffness):
+    """By the exponent too, against derivatives along single directions, whose errors are controlled by themselves."""
+
+    def end(numbers):
+        scene = bouncing(numbers[3:])
+        normal = sj.LankaraniNikravesh(restitution=numbers[2], stiffness=stiffness * numbers[0], exponent=numbers[1])
+        scene = eqx.tree_at(lambda scene: scene.joints["joint"].model.normal, scene, normal)
+        run = sj.simulate(scene, jnp.linspace(0.0, 0.05, 4))
+        return 1e3 * jnp.sum(run.position("ball")[:, 0]) + run.velocity("ball")[-1, 1], run.stats.n_onsets
+
+    at = jnp.concatenate([jnp.array([1.0, exponent, 0.8]), STRENGTHS])
+    gradient, n_onsets = jax.jit(jax.grad(end, has_aux=True))(at)
+    assert int(n_onsets[0]) >= 3
+    beside = jax.jit(lambda along: jax.jvp(lambda at: end(at)[0], (at,), (along,))[1])
+    mixed = jnp.asarray(np.random.default_rng(5).normal(size=at.size))
+    for along in (*jnp.eye(at.size)[:3], mixed):
+        size = float(jnp.linalg.norm(gradient) * jnp.linalg.norm(along))
+        assert float(gradient @ along) == pytest.approx(float(beside(along)), abs=1e-7 * size)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("way", ["now", "jit", "vmap"])
+def test_by_all_numbers_of_a_mechanism_with_contact(way, monkeypatch):
+    """The exponent of the contact is one of them. Rows, whose errors are controlled one by one, are the reference."""
+    height, flat = four_bar_by_numbers()
+    assert flat.size > MANY
+    if way == "vmap":
+        back = jax.jit(jax.vmap(jax.grad(height)))(jnp.stack([flat, flat]))
+        np.testing.assert_array_equal(*back)
+        back = back[0]
+    else:
+        back = (jax.jit if way == "jit" else lambda function: function)(jax.grad(height))(flat)
+    monkeypatch.setattr(sensitivities, "MANY", 1000)
+    rows = jax.jit(jax.grad(lambda flat: height(flat)))(flat)
+    np.testing.assert_allclose(back, rows, atol=1e-6 * float(jnp.max(jnp.abs(rows))))
+
+
+@pytest.mark.slow
+def test_by_all_numbers_of_a_mechanism_with_contact_against_differences():
+    height, flat = four_bar_by_numbers()
+    along = jnp.asarray(np.random.default_rng(2).normal(size=flat.size)) * jnp.where(flat == 0, 0.0, flat)
+    h = 1e-6
+    value = jax.jit(lambda flat: height(flat, 1e-12))
+    difference = float(value(flat + h * along) - value(flat - h * along)) / (2 * h)
+    assert float(jax.jit(jax.grad(height))(flat) @ along) == pytest.approx(difference, rel=1e-5)
 
 
 @pytest.mark.slow

@@ -22,7 +22,6 @@ is neither explicit nor that is replaced by Rodas5P.
 Limits: the errors of the derivatives are controlled along the mixture, not one by one.
 """
 
-import warnings
 from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
@@ -55,7 +54,7 @@ from spherejax.motion.integration.problem import (
 )
 from spherejax.motion.integration.sampling import samples_of
 from spherejax.motion.integration.sensitivity_rows import delay_weights
-from spherejax.motion.integration.status import SimulationWarning, Status
+from spherejax.motion.integration.status import Status
 from spherejax.motion.solvers.kinks import over_kink
 from spherejax.motion.solvers.rosenbrock import Rodas5P
 from spherejax.motion.solvers.traits import is_explicit, is_linearly_implicit
@@ -70,13 +69,6 @@ MIXTURE_FACTOR = 0.1
 
 A ball that forty sines drive through four impacts with friction: gradients are right to 2e-5 with 1, to 1.5e-6 with
 0.1 at an rtol of 1e-8 and 1e-9, where rows for all numbers have 1e-7. It takes a third more steps."""
-
-UNSURE_THROUGH_KINKS = (
-    "derivatives in reverse are not sure through {names}: where it begins to press, its stiffness may be there at "
-    "once, and the errors of derivatives are controlled along one mixture of all parameters. Of a ball that bounced "
-    "three times between stops of 1e8 N/m they were wrong by 7e-4. Forward sensitivities are right there: "
-    "mode='forward' of sj.sensitivity, and sj.fit without sj.studies.Descent"
-)
 
 N_STRETCHES = 4096
 """So many of them, four million steps; the gradient of a run with more is NaN."""
@@ -118,17 +110,6 @@ class _Stretches(NamedTuple):
 def with_steps_back(solver: Any) -> Any:
     """The method whose steps are gone back: for one that is neither explicit nor a Rosenbrock method, Rodas5P."""
     return solver if is_explicit(solver) or is_linearly_implicit(solver) else Rodas5P()
-
-
-def warn_of_kinks(names: str, stacklevel: int = 2) -> None:
-    """Give a `SimulationWarning` where a stiffness may be there at once.
-
-    Args:
-        names: of these joints and forces, in words; empty without.
-        stacklevel: as of `warnings.warn`, from the caller on.
-    """
-    if names:
-        warnings.warn(SimulationWarning(UNSURE_THROUGH_KINKS.format(names=names)), stacklevel=stacklevel + 1)
 
 
 @cached_jit(what="the gradient of a run", options=options_for)

@@ -168,11 +168,8 @@ and 0.73; 51: 0.46 and 0.38), and by some 30 numbers of a dry four-bar. The firs
 
 
 def _goes_back(plan: Plan) -> bool:
-    """Whether gradients of a run go back along its steps, in place of rows for all numbers.
-
-    Where a stiffness may be there at once each row has to be controlled by itself; see `pullback.UNSURE_THROUGH_KINKS`.
-    """
-    return len(plan.unknown) > MANY and not kinks_of(plan.structure)
+    """Whether gradients of a run go back along its steps, in place of rows for all numbers."""
+    return len(plan.unknown) > MANY
 
 
 def _shapes_of(arrays: list) -> tuple[jax.ShapeDtypeStruct, ...]:
@@ -264,13 +261,13 @@ def _refuse_large(plan: Plan) -> None:
 def through_kinks(plan: Plan, method: str) -> str:
     """Why there is no derivative by a method, and what to do."""
     return (
-        f"derivatives by {method} are not right through {names_of_kinks(plan)}: where it begins to press, its "
+        f"derivatives by {method} are not right through {_names_of_kinks(plan)}: where it begins to press, its "
         "stiffness may be there at once, and a step with stages on both sides gives derivatives that are wrong by any "
         "amount, or not finite. Leave solver= and adjoint= out, or take solver=spherejax.solvers.Rodas5P()"
     )
 
 
-def names_of_kinks(plan: Plan) -> str:
+def _names_of_kinks(plan: Plan) -> str:
     """The joints and forces whose stiffness may be there at once, in words; empty without."""
     system = example_of(plan.structure)
     contacts = [name for i, name in enumerate(system.contact_joints) if i in kinks_of(plan.structure)]

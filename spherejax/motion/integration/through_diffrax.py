@@ -42,6 +42,7 @@ from spherejax.motion.integration.unseen import unseen_of
 from spherejax.motion.solvers.implicit import with_structure
 from spherejax.motion.solvers.landing import ErrorAndInside, LandingController
 from spherejax.motion.solvers.root_finder import with_converging_root_finder
+from spherejax.motion.solvers.traits import stage_defect
 from spherejax.motion.solvers.wrapping import AbstractForwardingSolver
 from spherejax.program_cache import cached_jit
 
@@ -72,7 +73,8 @@ class EngineStep(AbstractForwardingSolver):
         watch = self.audit.seen(*jax.lax.stop_gradient((args, watch, t1, y1)))
         is_wrong = ~watch.is_sound & (result == diffrax.RESULTS.successful)
         result = diffrax.RESULTS.where(is_wrong, AUDIT_RESULT, result)
-        error = error if self.end.contacts is None else ErrorAndInside(error, inside)
+        if self.end.contacts is not None:
+            error = ErrorAndInside(error, inside, jax.lax.stop_gradient(stage_defect(self.solver, inside)))
         return y1, error, inside, (inner, n_onsets + began, watch), result
 
 

@@ -6,6 +6,7 @@ beyond the surface. So the motion is smooth up to the onset, which is found on t
 has certified to have none.
 """
 
+import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -185,10 +186,17 @@ def without_memory(crossings: Callable, kinks: tuple[int, ...]) -> ContactFuncti
 
 
 class ErrorAndInside(NamedTuple):
-    """What a solver with contacts reports of a step: its error, and what the states inside it are made from."""
+    """What a solver with contacts reports of a step.
+
+    Attributes:
+        error: estimate of its error; None of a method that makes none.
+        dense_info: what the states inside it are made from.
+        stage_defect: see `traits.stage_defect`.
+    """
 
     error: Any
     dense_info: Any
+    stage_defect: Any = None
 
 
 class LandingState(NamedTuple):
@@ -263,9 +271,10 @@ class LandingController(AbstractForwardingController):
 
     def adapt_step_size(self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state):
         """Judge the step's error, then whether it may end where it ends."""
-        error, inside = y_error if isinstance(y_error, ErrorAndInside) else (y_error, None)
+        error, inside, defect = y_error if isinstance(y_error, ErrorAndInside) else (y_error, None, None)
         # A trial step that overflows has an error of infinity over infinity, and the next step would be not a number.
         overflows = ~jnp.all(jnp.isfinite(y1_candidate))
+        is_wrong = overflows if defect is None else overflows | ~self._holds_together(y0, y1_candidate, defect)
         keep, next_t0, next_t1, made_jump, inner, result = self.controller.adapt_step_size(
             t0,
             t1,
@@ -274,7 +283,7 @@ class LandingController(AbstractForwardingController):
             # infinite.
             jnp.where(overflows, y0, y1_candidate),
             args,
-            None if error is None else jnp.where(overflows, jnp.inf, error),
+            None if error is None else jnp.where(is_wrong, jnp.inf, error),
             error_order,
             controller_state.inner,
         )
@@ -377,6 +386,19 @@ class LandingController(AbstractForwardingController):
         window = windows_of(contacts) if contacts.has_rates_that_jump else LANDING_WINDOW
         return first_event(*numbers, inside, was_pressing, keep, window, contacts.n_contacts, before)
 
+    def _holds_together(self, y0, y1, defect) -> Bool[Array, ""]:
+        """`holds_together`, with the root mean square of all that is integrated for the state; prescribed steps do."""
+        rtol, atol = self.rtol, self.atol
+        if isinstance(rtol, float) and math.isinf(rtol):
+            return jnp.array(True)
+        scale = atol + jnp.maximum(jnp.abs(y0), jnp.abs(y1)) * rtol
+
+        def size(x):
+            x = x / scale if self.contacts is None else self.contacts.of_state(x / scale)
+            return jnp.sqrt(jnp.mean(x * x))
+
+        return jax.lax.stop_gradient(holds_together(size(defect), size(y1 - y0)))
+
     def _limited(self, t0, t1, args, y):
         """The end of a step from the state y, no later than the longest step and what comes next allow."""
         if self.room is not None:
@@ -384,6 +406,27 @@ class LandingController(AbstractForwardingController):
             room = jax.lax.stop_gradient(self.room(args, t0, y))
             t1 = jnp.minimum(t1, t0 + jnp.maximum(room, shortest_step(t0, t1)))
         return t1 if self.longest is None else jnp.minimum(t1, t0 + self.longest)
+
+
+NO_STRAY = 10.0
+"""Stages within so many tolerances of a step's end have not strayed from it, however short the way."""
+
+
+def holds_together(strayed, moved) -> Bool[Array, " *lanes"]:
+    """Whether the last stage that has a step's end for its instant is nearer to it than the start is.
+
+    The check of the error's estimate, which knows only stages that have a weight in it. A first step in contact of
+    25 times the duration of the impact (a ball at 0.03 m/s in a socket of 3.5 mm) sent those that have none into
+    the wall, and the others flew out of it at 300 m/s, where no force is: an error of nothing, and an end as if
+    there were no wall; 75 of 3,600 balls fell through stops in that way. There the stage strayed 5,000 times as
+    far as the step went. In steps that are right it does by 0.8 times at most at an rtol of 1e-3, 0.3 at 1e-4 and
+    0.01 at 1e-8 (impacts of a four-bar and of balls in sockets).
+
+    Args:
+        strayed: how far that stage is from the end, in tolerances.
+        moved: how far the end is from the start, in tolerances.
+    """
+    return strayed <= jnp.maximum(moved, NO_STRAY)
 
 
 def _short_of(way, shortest) -> Float[Array, ""]:

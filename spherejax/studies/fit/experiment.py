@@ -17,8 +17,7 @@ from jaxtyping import Array, Bool, Float, Int
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.types import Flag
 from spherejax.model.system import compile_scene, flatten_system, split
-from spherejax.motion.derivatives.pullback import gradient_of, warn_of_kinks
-from spherejax.motion.derivatives.sensitivities import names_of_kinks
+from spherejax.motion.derivatives.pullback import gradient_of
 from spherejax.motion.derivatives.through_touches import check_derivatives
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import path_of, program_for
@@ -185,7 +184,6 @@ class Experiment(eqx.Module):
             return self._cost_and_gradient_forward(u, weights, loss)
         frame, setting, numbers = self.frame, self.setting, self.numbers(u)
         ts = _sample_times(frame, setting, numbers.of_sensors)
-        warn_of_kinks(names_of_kinks(frame.plan))
         inputs = RunInputs(numbers.values, setting.known, ts, setting.start, numbers.are_legal)
         run: Outcome = run_of(frame.plan, setting.method, inputs)
         if int(run.status) != Status.SUCCEEDED:

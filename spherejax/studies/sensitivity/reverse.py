@@ -6,8 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from spherejax.motion.derivatives.pullback import gradient_of, warn_of_kinks
-from spherejax.motion.derivatives.sensitivities import names_of_kinks
+from spherejax.motion.derivatives.pullback import gradient_of
 from spherejax.motion.integration.one_run import run_of
 from spherejax.motion.integration.problem import RunInputs
 from spherejax.motion.integration.sensitivity_rows import scales_of
@@ -42,7 +41,6 @@ def reverse(
     numbers = jnp.asarray(numbers)
     scale = scales_of(numbers)
     values, directions, are_legal = traced_numbers(flat, plan, numbers, scale, settings.track_work)
-    warn_of_kinks(names_of_kinks(plan))
     inputs = RunInputs(values, known, prepared.ts, prepared.start, are_legal)
     made = run_of(plan, prepared.method, inputs)
     value, (by_values, by_ys) = _value_and_slopes(prepared, number, values, made.ys)

@@ -14,6 +14,7 @@ from spherejax.foundations.lanes import in_lanes
 from spherejax.motion.integration.status import status_of
 from spherejax.motion.integration.step_end import StepEnd
 from spherejax.motion.solvers.landing import ErrorAndInside, LandingController
+from spherejax.motion.solvers.traits import stage_defect
 
 
 class Judgment(NamedTuple):
@@ -100,7 +101,9 @@ class Repeating:
         # The end is corrected and its contacts updated before it is judged, as explicit steps are.
         y, began = end.changed(step.parameters, step.t0, step.y0, step.t1, step.y1)
         # The controller looks for events on the solver's own interpolation, which it is handed with the error.
-        error = step.error if problem.contacts is None else ErrorAndInside(step.error, step.dense_info)
+        error = step.error
+        if problem.contacts is not None:
+            error = ErrorAndInside(error, step.dense_info, stage_defect(problem.solver, step.dense_info))
         keep, t, t_next, made_jump, state, verdict = self._controller(step.parameters).adapt_step_size(
             step.t0, step.t1, step.y0, y, step.parameters, error, self.order, state
         )

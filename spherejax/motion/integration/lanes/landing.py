@@ -40,6 +40,7 @@ from spherejax.motion.solvers.landing import (
     NOT_FINITE_RESULT,
     ContactFunctions,
     finite_size,
+    holds_together,
     longest_ball_step,
     shortest_step,
     windows_of,
@@ -73,9 +74,6 @@ BEHIND = 2 * _NEAR
 
 _TOUCH_TURNS = 3
 """Newton's method finds the end of that step; each turn squares an error that is a thousandth at first."""
-
-_NO_STRAY = 10.0
-"""Stages within so many tolerances of a step's end have not strayed from it, however short the way."""
 
 
 class Pace(NamedTuple):
@@ -503,17 +501,9 @@ class Landing:
         return jax.lax.stop_gradient((jnp.where(is_right, error, jnp.inf), error < jnp.inf))
 
     def _holds_together(self, stage_defect: Array, step: BlockSteps, scale) -> Bool[Array, " n_lanes"]:
-        """Whether the last stage that has the step's end for its instant is nearer to it than the start is.
-
-        The check of the error's estimate, which knows only stages that have a weight in it. A first step in contact of
-        25 times the duration of the impact (a ball at 0.03 m/s in a socket of 3.5 mm) sent those that have none into
-        the wall, and the others flew out of it at 300 m/s, where no force is: an error of nothing, and an end as if
-        there were no wall; 75 of 3,600 balls fell through stops in that way. There the stage strayed 5,000 times as
-        far as the step went. In steps that are right it does by 0.8 times at most at an rtol of 1e-3, 0.3 at 1e-4 and
-        0.01 at 1e-8 (impacts of a four-bar and of balls in sockets).
-        """
+        """`holds_together`, of the state alone."""
         strayed, moved = (self._by_row(each / scale)[0] for each in (stage_defect, step.y1 - step.y0))
-        return strayed <= jnp.maximum(moved, _NO_STRAY)
+        return holds_together(strayed, moved)
 
     def _by_row(self, by_scale) -> Float[Array, "n_rows n_lanes"]:
         """The root mean square of what is judged, of the state and of each row below it (`sensitivity_rows`)."""

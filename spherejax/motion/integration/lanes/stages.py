@@ -20,7 +20,7 @@ from spherejax.foundations.lanes import in_lanes
 from spherejax.motion.integration.lanes.first_step import can_look
 from spherejax.motion.integration.lanes.inside import extension
 from spherejax.motion.solvers.dop853 import TwoErrors
-from spherejax.motion.solvers.traits import is_explicit, n_stages_of_end
+from spherejax.motion.solvers.traits import defect_weights, is_explicit, n_stages_of_end
 
 
 class TrialStep(NamedTuple):
@@ -81,7 +81,7 @@ class ExplicitStages:
         self.n_stages = len(self.weights) if with_dense_output else n_used
         # Polynomials for states inside a step are made from the stages of the step itself: no evaluation is added.
         self.inside = extension(self.coefficients[:n_used, :n_used], self.weights[:n_used])
-        stage_defect = _defect_of_a_stage(self.coefficients, self.instants, self.weights)
+        stage_defect = defect_weights(tableau)
         lower = tableau.b_lower if isinstance(tableau, TwoErrors) else None
         sums = [self.weights, self.error_weights, *(each for each in (lower, stage_defect) if each is not None)]
         self.tableau = explicit_tableau(tableau, self.n_stages, sums)
@@ -174,13 +174,6 @@ def steps_of(
     if is_explicit(solver):
         return ExplicitStages(solver.tableau, rate, with_dense_output, program, moving)
     return MappedSteps(solver, rate)
-
-
-def _defect_of_a_stage(coefficients: np.ndarray, instants: np.ndarray, weights: np.ndarray) -> np.ndarray | None:
-    """Weights of how far the last stage at a step's end, other than the end itself, is from it; None without one."""
-    differences = [row - weights for row, c in zip(coefficients, instants, strict=True) if c == 1]
-    others = [difference for difference in differences if np.any(np.abs(difference) > 1e-12)]
-    return others[-1] if others else None
 
 
 def explicit_tableau(tableau: diffrax.ButcherTableau, n: int, sums: Sequence[np.ndarray]) -> Tableau:
