@@ -407,16 +407,7 @@ def warm_oil() -> Figure:
             e_h0=0.0,
             e_h1=0.0,
         )
-        shaft = sj.Body(1.0, (1e-4, 1e-4, 1e-4), angular_velocity=(0, 0, speed))
-        motor = sj.RotationDriver(
-            ("ground", "shaft"), (0, 0, 1), sj.functions.Linear(speed)
-        )
-        bearing = sj.Revolute(("ground", "shaft"), (0, 0, 0), (0, 0, 1), model)
-        scene = sj.Scene(
-            {"shaft": shaft},
-            {"bearing": bearing, "motor": motor},
-            gravity=(0, -load, 0),
-        )
+        scene = sj.gallery.journal_bearing(model, load=load, speed=speed)
         run = sj.simulate(scene, ts, rtol=1e-6)
         warm = (
             np.full(ts.shape, cold)
@@ -927,6 +918,68 @@ def pose_play() -> Figure:
     return figure
 
 
+def worn_bush() -> Figure:
+    """Bush of a slider-crank's pin: its depth along the cycles, and the pin's path in it at first and in the end."""
+    clearance, radius, speed = 1e-4, 0.01, 20.0
+    law = sj.laws.HuntCrossleyDissipation(30.0, stiffness=2e9, exponent=1.5)
+    model = sj.Dry(clearance, socket_radius=radius, normal=law)
+    piston = sj.gallery.piston(model, speed=speed)
+    load = sj.AppliedWrench("piston", force=(-500.0, 0, 0))
+    scene = sj.Scene(piston.bodies, piston.joints, {"load": load})
+    cycle = (0.3, 0.3 + 2 * np.pi / speed)
+    ts = np.concatenate([[0.0], np.linspace(*cycle, 121)])
+    worn = sj.studies.wear_in(
+        scene,
+        "pin",
+        ts,
+        k_socket=5e-13,
+        k_ball=0.0,
+        window=cycle,
+        cycles=4000.0,
+        length=0.02,
+        foundation=1e12,
+        rtol=1e-8,
+    )
+    first = sj.simulate(scene, ts, rtol=1e-8)
+    figure, (left, right) = plt.subplots(
+        1, 2, figsize=(8.6, 3.6), layout="constrained", width_ratios=(3, 2)
+    )
+    u = worn.wear.directions
+    angles = np.degrees(np.arctan2(u[:, 1], u[:, 0]))
+    order = np.argsort(angles)
+    for block, cycles in enumerate(worn.cycles[1:], 1):
+        shade = plt.get_cmap("viridis_r")(cycles / worn.cycles[-1])
+        depth = 1e6 * worn.depth("socket", block)[order]
+        left.plot(angles[order], depth, color=shade, label=f"{cycles:.0f} cycles")
+    left.set(
+        xlabel="angle in the bush from the joint's x axis [degrees]",
+        ylabel="depth [µm]",
+        xlim=(-180, 180),
+        xticks=range(-180, 181, 60),
+    )
+    left.set_ylim(bottom=0)
+    left.legend(fontsize=8, frameon=False)
+    for run, color, name in (
+        (first, "black", "first cycle"),
+        (worn.run, LINES[2], "after 4000"),
+    ):
+        e = 1e6 * np.asarray(run.eccentricity("pin"))[1:]
+        right.plot(e[:, 0], e[:, 2], color=color, label=name)
+    turn = np.linspace(0, 2 * np.pi, 200)
+    right.plot(
+        1e6 * clearance * np.cos(turn),
+        1e6 * clearance * np.sin(turn),
+        color="0.7",
+        linewidth=0.8,
+        label="clearance",
+    )
+    right.set(xlabel="x of the pin in its bush [µm]", ylabel="z [µm]", aspect="equal")
+    right.legend(
+        fontsize=8, frameon=False, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1)
+    )
+    return figure
+
+
 def friction_band() -> Figure:
     """The lamp of the page on bands of friction: efforts that move it, and where it stays by itself."""
     source = (FOLDER.parent / "howto" / "friction_band.md").read_text()
@@ -1012,6 +1065,7 @@ PICTURES: dict[str, Callable[[], Figure | Image.Image]] = {
     "pose_play": pose_play,
     "inverse_dynamics": inverse_dynamics,
     "friction_band": friction_band,
+    "worn_bush": worn_bush,
     "end_compliance": end_compliance,
     **{f"scene_{name}": scene(name) for name in sj.gallery.__all__},
 }

@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 import spherejax as sj
 
@@ -135,6 +136,24 @@ def test_derivatives_through_a_loop_are_those_of_differences():
     differences = (ends(0.3 + step) - ends(0.3 - step)) / (2 * step)
     assert np.all(np.abs(differences) > 1e-3)
     np.testing.assert_allclose(slopes, differences, rtol=1e-6)
+
+
+@pytest.mark.slow
+def test_the_gallerys_lamp_stays_by_itself_until_the_spring_is_too_weak():
+    """Moments about the hinge, with the reaction of the arm's weight and of the spring: beyond 0.755 rad it sinks."""
+    elevation = sj.Turn(("ground", "arm"), axis=(0, -1, 0))
+    found = sj.studies.friction_band(sj.gallery.lamp(), elevation, (-1.2, 1.2))
+
+    def excess(angle):
+        hook = 0.15 * np.array([np.cos(angle), np.sin(angle)])
+        away = np.array([0.0, 0.15]) - hook
+        pull = 160.0 * (np.linalg.norm(away) - 0.03) * away / np.linalg.norm(away)
+        weight = np.array([0.0, -1.5 * 9.81])
+        moment = hook[0] * pull[1] - hook[1] * pull[0] + 0.2 * np.cos(angle) * weight[1]
+        return moment + COSINE * 0.3 * 0.03 * np.linalg.norm(pull + weight)
+
+    ((_, last),) = found.bands
+    assert last == pytest.approx(brentq(excess, 0.3, 1.2), abs=2e-3)
 
 
 def test_an_end_that_is_not_known_is_not_a_number():

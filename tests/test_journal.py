@@ -279,3 +279,20 @@ def test_the_transition_of_a_film_scales_with_the_clearance():
     assert (paper.e_h0, paper.e_h1) == (1e-6, 2e-6)
     assert (thin.e_h0, thin.e_h1) == pytest.approx((5e-8, 1e-7), rel=1e-9)
     assert float(jax.grad(lambda c: sj.Lubricated(c).e_h1)(1e-5)) == 0.02
+
+
+@pytest.mark.slow
+def test_the_gallerys_bearing_settles_where_ocvirks_film_carries_its_load():
+    """nu w R L^3/(4 c^2) e sqrt(16 e^2 + pi^2 (1 - e^2))/(1 - e^2)^2 = 300 N, and the load is opposite to the force."""
+    model = sj.Lubricated(
+        1e-4, 0.1, socket_radius=0.02, film=sj.laws.ShortBearing(0.02), conformity=CYLINDER, e_h0=0.0, e_h1=0.0
+    )
+    run = sj.simulate(sj.gallery.journal_bearing(model), [0.0, 0.5])
+    ratio = float(np.linalg.norm(run.eccentricity("bearing")[-1])) / 1e-4
+    scale = 0.1 * 300.0 * 0.02 * 0.02**3 / (4 * 1e-8)
+    square = ratio**2
+    carried = scale * ratio * math.sqrt(16 * square + math.pi**2 * (1 - square)) / (1 - square) ** 2
+    assert carried == pytest.approx(300.0, rel=1e-6)
+    np.testing.assert_allclose(run.reaction("bearing")[-1], [0.0, 300.0, 0.0], atol=1e-4)
+    ideal = sj.simulate(sj.gallery.journal_bearing(load=50.0), [0.0, 0.01])
+    np.testing.assert_allclose(ideal.reaction("bearing")[-1], [0.0, 50.0, 0.0], atol=1e-9)

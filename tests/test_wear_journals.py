@@ -235,6 +235,114 @@ def test_results_are_told_and_saved(follows, tmp_path):
     assert len(follows.figure().axes) == 3
 
 
+# Slider-crank ---------------------------------------------------------------------------------------------------------
+
+CRANK, ROD, PRESSED, SPEED, SOFT = 0.05, 0.12, 500.0, 20.0, 2e9
+POLYMER = 5e-13
+"""k of the bush [m^2/N]: PTFE on steel has some 5e-4 mm^3/(N m)."""
+
+
+def slider_crank():
+    """The gallery's piston, whose pin a constant load keeps on one side of a bush of polymer on the rod."""
+    law = sj.laws.HuntCrossleyDissipation(dissipation=30.0, stiffness=SOFT, exponent=1.5)
+    piston = sj.gallery.piston(sj.Dry(C, socket_radius=R, normal=law), speed=SPEED)
+    return sj.Scene(piston.bodies, piston.joints, {"load": sj.AppliedWrench("piston", force=(-PRESSED, 0, 0))})
+
+
+class SlowCrank:
+    """The same without steps in time: Newton's equations along the motion that the crank prescribes, by FFT.
+
+    The journal rests in its worn bush where the load presses it, which moves piston and rod; angles are about y.
+    """
+
+    def __init__(self, n=240, cells=720):
+        self.n, self.turn = n, 2 * np.pi / SPEED
+        self.times = self.turn * np.arange(n) / n
+        self.around = 2 * np.pi * (np.arange(cells) + 0.5) / cells
+        self.area = R * L * 2 * np.pi / cells
+
+    def slope(self, y):
+        frequency = 2j * np.pi * np.fft.fftfreq(self.n, d=self.times[1])
+        return np.real(np.fft.ifft(frequency * np.fft.fft(y)))
+
+    def motion(self, gone):
+        """Force [N], its direction from the bush's center in the world and in the rod's axes, and the sliding [m/s].
+
+        Args:
+            gone: how far the journal's center is from the bush's, at each instant [m].
+        """
+        a, away = SPEED * self.times, np.zeros((2, self.n))
+        pin = np.stack([CRANK * np.cos(a), -CRANK * np.sin(a)])
+        for _ in range(4):
+            # The rod's end is off the piston's pin by minus the eccentricity.
+            across = -away[1] - pin[1]
+            end = np.stack([pin[0] + np.sqrt(ROD**2 - across**2), -away[1]])
+            piston, middle = end[0] + away[0], (pin + end) / 2
+            accelerated = np.stack([self.slope(self.slope(x)) for x in middle])
+            turned = np.arctan2(-(end - pin)[1], (end - pin)[0])
+            along = 0.14 * self.slope(self.slope(piston)) + PRESSED
+            arm = end - pin
+            inertia = 0.21 * (accelerated + np.array([[0.0], [9.81]]))
+            moment = 2.5e-4 * self.slope(self.slope(turned)) + (arm[1] * inertia[0] - arm[0] * inertia[1]) / 2
+            force = np.stack([along, (moment + arm[1] * along) / arm[0]])
+            size = np.hypot(*force)
+            away = -gone * force / size
+        angle = np.unwrap(np.arctan2(-away[1], away[0]))
+        sliding = np.abs(gone * self.slope(angle) - R * self.slope(turned))
+        return size, angle - turned, sliding
+
+    def approach(self, depth, size, angle):
+        """How far the foundation lets the journal go, by halving."""
+        x = np.cos(self.around[None] - angle[:, None])
+        low, high = np.full(self.n, 0.0), np.full(self.n, 10 * C)
+        for _ in range(60):
+            s = (low + high) / 2
+            carried = self.pressure(depth, s, x) * np.maximum(x, 0.0) * self.area
+            low, high = np.where(carried.sum(1) < size, s, low), np.where(carried.sum(1) < size, high, s)
+        return s, x
+
+    def pressure(self, depth, s, x):
+        return FOUNDATION * np.maximum(0.0, s[:, None] * x - C - depth[None]) * (x > 0)
+
+    def rate(self, depth):
+        gone = np.full(self.n, C)
+        for _ in range(3):
+            size, angle, sliding = self.motion(gone)
+            s, x = self.approach(depth, size, angle)
+            gone = s - self.approach(0 * depth, size, angle)[0] + C + (size / SOFT) ** (2 / 3)
+        pressure = self.pressure(depth, s, x)
+        return POLYMER * self.turn * np.mean(pressure * sliding[:, None], axis=0), gone
+
+    def depth(self, cycles, blocks=24):
+        """Heun's method, in blocks that are longer and longer."""
+        depth, ends = np.zeros(len(self.around)), cycles * np.linspace(0, 1, blocks + 1) ** 2
+        for block in np.diff(ends):
+            first = self.rate(depth)[0]
+            depth = depth + block / 2 * (first + self.rate(depth + block * first)[0])
+        return depth
+
+
+@pytest.mark.slow
+def test_a_slider_crank_wears_its_pins_bush_as_another_solution_says():
+    other, cycles = SlowCrank(), 2000.0
+    cycle = (0.3, 0.3 + other.turn)
+    ts = np.concatenate([[0.0], np.linspace(*cycle, 25)])
+    worn = sj.studies.wear_in(
+        slider_crank(), "pin", ts, k_socket=POLYMER, k_ball=0.0, window=cycle, cycles=cycles, length=L,
+        foundation=FOUNDATION, rtol=1e-8,
+    )  # fmt: skip
+    volume = other.rate(np.zeros(720))[0].sum() * other.area
+    assert worn.wear.volume_per_cycle["socket"] == near(volume, 1e-3)
+    depth = other.depth(cycles)
+    assert worn.volumes("socket")[-1] == near(depth.sum() * other.area, 2e-3)
+    assert worn.deepest("socket")[-1] == near(depth.max(), 5e-3)
+    gone = other.rate(depth)[1]
+    eccentricity = np.linalg.norm(np.asarray(worn.run.eccentricity("pin")), axis=1)[1:]
+    at = np.interp(np.mod(ts[1:], other.turn), np.append(other.times, other.turn), np.append(gone, gone[0]))
+    np.testing.assert_allclose(eccentricity, at, rtol=3e-3)
+    assert worn.wear.checks.lost < 1e-9
+
+
 # Bad input ------------------------------------------------------------------------------------------------------------
 
 

@@ -8,6 +8,8 @@ from spherejax.gallery.five_bar import five_bar
 from spherejax.gallery.four_bar import four_bar
 from spherejax.gallery.governor import governor
 from spherejax.gallery.hip import hip
+from spherejax.gallery.journal_bearing import journal_bearing
+from spherejax.gallery.lamp import lamp
 from spherejax.gallery.leg import leg
 from spherejax.gallery.n_four_bar import n_four_bar
 from spherejax.gallery.pendulums import double_pendulum, heavy_top, physical_pendulum, simple_pendulum
@@ -29,6 +31,8 @@ __all__ = [
     "governor",
     "heavy_top",
     "hip",
+    "journal_bearing",
+    "lamp",
     "leg",
     "mcpherson",
     "n_four_bar",
