@@ -360,6 +360,55 @@ def lined_bearing() -> Figure:
     return figure
 
 
+def thickening() -> Figure:
+    """Load by eccentricity ratio, and pressure round a short bearing, for three coefficients of pressure."""
+    radius, length, clearance, viscosity, speed = 0.02, 0.02, 1e-4, 0.05, 300.0
+    film = sj.laws.ShortBearing(length)
+    gap = sj.laws.FilmGap(clearance, radius, viscosity, 0.0, sj.Guembel())
+    axis = jnp.array([0.0, 0.0, 1.0])
+
+    def motion(eps):
+        return sj.laws.FilmMotion(
+            eps * clearance * jnp.array([1.0, 0.0, 0.0]),
+            jnp.zeros(3),
+            jnp.zeros(3),
+            speed * axis,
+            axis,
+        )
+
+    figure, (left, right) = plt.subplots(1, 2, figsize=(9.2, 3.4), layout="constrained")
+    ratios = jnp.linspace(0.02, 0.8, 79)
+    angles = np.linspace(-np.pi, np.pi, 721)
+    swept = -speed / 2 * 0.8 * clearance
+    thickness = clearance * (1 - 0.8 * np.cos(angles))
+    reduced = 1.5 * viscosity * length**2 * np.maximum(swept * np.sin(angles), 0)
+    reduced = reduced / thickness**3
+    for alpha, color in zip((0.0, 5e-8, 1e-7), LINES[1:4], strict=True):
+        law = sj.laws.BarusThickening(alpha) if alpha else None
+        loads = jax.jit(
+            jax.vmap(
+                lambda eps, law=law: jnp.linalg.norm(
+                    film.action(motion(eps), gap._replace(thickening=law)).force
+                )
+            )
+        )(ratios)
+        pressure = -np.log1p(-alpha * reduced) / alpha if alpha else reduced
+        name = f"{1e9 * alpha:.0f} per GPa" if alpha else "constant viscosity"
+        left.plot(ratios, loads, color=color, linewidth=1.4, label=name)
+        right.plot(np.degrees(angles), pressure / 1e6, color=color, linewidth=1.4)
+    left.set(xlabel="eccentricity ratio [-]", ylabel="load [N]", xlim=(0, 0.8))
+    left.set_ylim(bottom=0)
+    left.legend(fontsize=8, frameon=False, loc="upper left")
+    right.set(
+        xlabel="place round the bearing, from the smallest gap [°]",
+        ylabel="pressure in the middle [MPa]",
+        xlim=(-90, 30),
+    )
+    right.set_ylim(bottom=0)
+    right.set_title("at an eccentricity ratio of 0.8", fontsize=9, loc="left")
+    return figure
+
+
 def warm_oil() -> Figure:
     """A loaded journal whose oil stays cold, warms, or warms and is cooled; and where the balance of heat ends."""
     radius, length, clearance, viscosity, speed, load = (
@@ -1048,6 +1097,7 @@ PICTURES: dict[str, Callable[[], Figure | Image.Image]] = {
     "tilting": tilting,
     "warm_oil": warm_oil,
     "lined_bearing": lined_bearing,
+    "thickening": thickening,
     "friction": friction,
     "joint_friction": joint_friction,
     "rubber": rubber,

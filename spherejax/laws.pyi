@@ -52,6 +52,7 @@ from .physics.laws.normal import (
 )
 from .physics.laws.oil import AbstractOilViscosity, HeatFlows, OilHeat, ReynoldsViscosity, VogelViscosity
 from .physics.laws.pressure import AbstractPressure, CosinePressure, PointContact, PreloadAlone, UniformPressure
+from .physics.laws.thickening import BarusThickening
 from .physics.laws.viscoelastic import Berg, Maxwell
 from .physics.memory import MemoryEntry
 
@@ -68,6 +69,7 @@ __all__ = [
     "AbstractPressure",
     "AbstractStaticFriction",
     "Ambrosio",
+    "BarusThickening",
     "BengisuAkay",
     "Berg",
     "BrownMcPhee",

@@ -251,7 +251,7 @@ def test_what_goes_beyond_a_range_is_named_by_the_parts_that_have_one():
         "conformity": ["joint 'dry'", "joint 'second'"],
         "tilt": [],
         "film": ["joint 'oiled'"],
-        "liner": [],
+        "film_range": [],
         "axes": ["force element 'torsion'"],
     }
     assert parts_with_a_range(system, np.full_like(y, np.nan)) == parts  # of a run that has failed

@@ -288,6 +288,7 @@ def test_a_run_takes_a_stiff_method_where_the_liner_is_fast(loaded):
     assert steel.stats.n_steps < 3000
 
 
+@pytest.mark.slow
 def test_what_a_free_shaft_loses_is_dissipated():
     scene = journal(model_of(), load=0.0, driven=False, velocity=(0.1, 0.05, 0.0))
     ts = 0.05 * np.linspace(0.0, 1.0, 1001) ** 2
@@ -303,7 +304,7 @@ def test_what_a_free_shaft_loses_is_dissipated():
 def test_a_journal_that_goes_beyond_its_clearance_is_stopped_and_said():
     """A soft liner under a load that it cannot hold within the clearance: dry contact helps, and the run says so."""
     soft = sj.laws.WinklerLiner(5e6, 0.4, 2e-3)
-    with pytest.warns(sj.errors.OutOfRangeWarning, match=r"'bearing'.*elastic liner.*0\.8"):
+    with pytest.warns(sj.errors.OutOfRangeWarning, match=r"'bearing'.*LinedBearing.*0\.8"):
         run = sj.simulate(journal(model_of(soft, friction=sj.Threlfall())), [0.0, 0.05, 0.1])
     assert run.succeeded
     e = np.linalg.norm(np.asarray(run.eccentricity("bearing"))[-1])

@@ -68,6 +68,15 @@ WORKS: Mapping[str, Work] = {
         "Nahme, R.", "Beitraege zur hydrodynamischen Theorie der Lagerreibung",
         "Ingenieur-Archiv", "11", "191-209", 1940,
     ),
+    "Barus (1893)": Work(
+        "Barus, C.", "Isothermals, isopiestics and isometrics relative to viscosity",
+        "American Journal of Science", "45", "87-96", 1893,
+    ),
+    "Higginson (1965)": Work(
+        "Higginson, G. R.",
+        "The theoretical effects of elastic deformation of the bearing liner on journal bearing performance",
+        "Proceedings of the Institution of Mechanical Engineers", "180 (3B)", "31-38", 1965,
+    ),
     "Raimondi and Boyd (1958)": Work(
         "Raimondi, A. A. and Boyd, J.",
         "A solution for the finite journal bearing and its application to analysis and design",

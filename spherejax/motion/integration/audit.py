@@ -11,8 +11,8 @@
                  little against their clearance; beyond that the run goes on, and says so
     film         the offset e_h1 that keeps a film finite at the wall is small against the clearance; above a
                  twentieth of it the run goes on, and says so
-    liner        a ball on a film with an elastic liner is no further out than the film's equation is for; beyond that
-                 the run goes on, and says so
+    film_range   a film is within what its equations are for: a journal on a liner no further out, oil that thickens
+                 under no more pressure; beyond that the run goes on, and says so
     axes         that an angle is about are not tilted against each other by half a turn, where there is none
 
 Whether it may add energy is asked of each part (`never_adds_energy`). The work of those that may (drivers, applied
@@ -88,11 +88,11 @@ NOT_MADE = -1.0
 
 CHECKS = (
     "energy", "loss", "flight", "constraints", "quaternions", "rotations", "turns",
-    "conformity", "tilt", "film", "liner", "axes",
+    "conformity", "tilt", "film", "film_range", "axes",
 )  # fmt: skip
 """What is audited, in the order of `run.stats.audit`."""
 
-WARNINGS = ("conformity", "tilt", "film", "liner", "axes")
+WARNINGS = ("conformity", "tilt", "film", "film_range", "axes")
 """Checks, the last of them all, that do not fail a run: its equations are solved, but they are used out of range."""
 
 N_FATAL = len(CHECKS) - len(WARNINGS)
@@ -115,9 +115,11 @@ FINDINGS = {
     "film": "the offset e_h1 of a film is more than a twentieth of the clearance: the film acts as if it were thicker "
     "by e_h1, and eccentricities under a load are too large by about the share e_h1/c; leave e_h1 and e_h0 out (they "
     "are 0.02 and 0.01 of the clearance then), or give smaller ones",
-    "liner": "a journal on an elastic liner was further out than its film is for, at more than 0.8 of the clearance: "
-    "the pressure is no parabola along the axis there, and the film bears too little, by up to a tenth at 0.9; a "
-    "thicker oil, a longer bearing or a stiffer liner keeps it within",
+    "film_range": "a film was used beyond its range: on a LinedBearing the journal was further out than 0.8 of the "
+    "clearance, where the pressure is no parabola along the axis and the film bears too little, by a tenth at 0.9 "
+    "(a thicker oil, a longer bearing or a stiffer liner keeps it within); or oil that thickens under pressure came to "
+    "alpha q > 0.7, near 1 where BarusThickening has no finite pressure (take a smaller coefficient alpha, or a load "
+    "that such oil can bear)",
     "axes": "the axis that an angle is about was tilted by more than 170 degrees against its start, where there is no "
     "angle (a torsional spring, an actuator, a coupler between bodies that tilt): give the two bodies a joint about "
     "that axis, or the element another axis",
@@ -180,7 +182,9 @@ def parts_with_a_range(system: System, y: Float[Array, " size"]) -> dict[str, li
             "conformity": joint.model.largest_ratio,
             "tilt": joint.share_of_tilt(joint.relative_motion(motions)),
             "film": joint.model.offset_ratio,
-            "liner": joint.model.film_range_share(joint.relative_motion(motions), state.memory[system.memory_of(name)]),
+            "film_range": joint.model.film_range_share(
+                joint.relative_motion(motions), state.memory[system.memory_of(name)]
+            ),
         }
         for check, limit in limits.items():
             parts[check] += [] if limit is None else [f"joint {name!r}"]
@@ -261,7 +265,7 @@ class Vitals(NamedTuple):
         axes: largest tilt of an axis that an angle is about, as a share of the largest; -1 where nothing has an angle.
         friction: how badly friction by reactions is solved for, as a share of what is allowed; None without any.
         offset: largest offset of a film, as a share of what is allowed; None without a film.
-        lined: largest eccentricity on a film with a liner, as a share of what it is for; None without one.
+        film_range: how far films are used, as a share of what they are for; None without one that says so.
         constraint_work: work of the constraint forces beyond that of drivers [J]; None where it is not integrated.
     """
 
@@ -277,7 +281,7 @@ class Vitals(NamedTuple):
     axes: Scalar
     friction: Scalar | None = None
     offset: Scalar | None = None
-    lined: Scalar | None = None
+    film_range: Scalar | None = None
     constraint_work: Scalar | None = None
 
 
@@ -286,7 +290,7 @@ def vitals(system: System, t: Scalar, y: Float[Array, " size"]) -> Vitals:
     state = unpack(system.layout, y)
     motions = body_motions(system, state)
     outside, pressed, stored = [jnp.asarray(-0.5)], [jnp.asarray(NOT_MADE)], jnp.zeros(())
-    tilts, offsets, lined = [jnp.asarray(NOT_MADE)], [], []
+    tilts, offsets, ranges = [jnp.asarray(NOT_MADE)], [], []
     if system.force_joints:
         loads = joint_loads(system, motions, state.memory)
         stores = (load.response.elastic_energy for name, load in loads.items() if system.joints[name].never_adds_energy)
@@ -304,7 +308,7 @@ def vitals(system: System, t: Scalar, y: Float[Array, " size"]) -> Vitals:
             if joint.model.offset_ratio is not None:
                 offsets.append(joint.model.offset_ratio / LARGEST_OFFSET_RATIO)
             out = joint.model.film_range_share(motion, state.memory[slot.entries])
-            lined += [] if out is None else [out]
+            ranges += [] if out is None else [out]
             if joint.model.largest_ratio is not None:
                 depth = jnp.sqrt(jnp.where(is_touching & (g > 0), 2 * g + 1, 1.0)) - 1
                 pressed.append(depth / joint.model.largest_ratio)
@@ -336,7 +340,7 @@ def vitals(system: System, t: Scalar, y: Float[Array, " size"]) -> Vitals:
         jnp.max(jnp.stack(leaning)),
         friction,
         jnp.max(jnp.stack(offsets)) if offsets else None,
-        jnp.max(jnp.stack(lined)) if lined else None,
+        jnp.max(jnp.stack(ranges)) if ranges else None,
         state.work[system.constraint_work_index] if system.tracks_constraint_work else None,
     )
 
@@ -425,7 +429,7 @@ class Limits(eqx.Module):
             now.pressed,
             now.tilt,
             jnp.asarray(NOT_MADE if now.offset is None else now.offset),
-            jnp.asarray(NOT_MADE if now.lined is None else now.lined),
+            jnp.asarray(NOT_MADE if now.film_range is None else now.film_range),
             now.axes,
         ]
         return Watch(lowest, highest, bottom, top, agitation, jnp.maximum(watch.worst, jnp.stack(shares)))

@@ -32,6 +32,7 @@ from spherejax.physics.laws.friction import AbstractFrictionLaw
 from spherejax.physics.laws.material import Material
 from spherejax.physics.laws.normal import AbstractNormalLaw, HuntCrossleyDissipation
 from spherejax.physics.laws.oil import OilHeat
+from spherejax.physics.laws.thickening import BarusThickening
 from spherejax.physics.memory import MemoryEntry
 
 WIDTH_SHARE, OFFSET_SHARE = 0.01, 0.02
@@ -106,6 +107,7 @@ class Lubricated(AbstractClearanceModel):
             `WinklerLiner`); None for that.
         heat: what warms and cools the oil, whose viscosity then falls with its temperature; None for a constant
             viscosity.
+        thickening: how the viscosity grows with the film's pressure; None for one that does not.
 
     Args:
         ball_radius: R_j, instead of the clearance [m].
@@ -131,6 +133,7 @@ class Lubricated(AbstractClearanceModel):
     ball_material: Material
     conformity: AbstractConformity | None
     heat: OilHeat | None
+    thickening: BarusThickening | None
     _ball_radius_given: bool = eqx.field(static=True)
 
     def __init__(
@@ -150,6 +153,7 @@ class Lubricated(AbstractClearanceModel):
         ball_material: Material | None = None,
         conformity: AbstractConformity | None = None,
         heat: OilHeat | None = None,
+        thickening: BarusThickening | None = None,
     ):
         self.clearance = clearance_from(clearance, socket_radius, ball_radius)
         self.socket_radius = socket_radius
@@ -166,12 +170,14 @@ class Lubricated(AbstractClearanceModel):
         self.ball_material = Material() if ball_material is None else ball_material
         self.conformity = conformity
         self.heat = heat
+        self.thickening = thickening
         self._ball_radius_given = ball_radius is not None
 
     @property
     def effects(self):
-        """Elastic contact, what the normal law adds to it, friction, the liner of the film, the warmth of the oil."""
-        cold = eqx.tree_at(lambda m: m.heat, self, None, is_leaf=lambda leaf: leaf is None)
+        """Elastic contact, what the normal law adds to it, friction, the liner of the film, viscosity by
+        pressure, the warmth of the oil."""
+        cold = eqx.tree_at(lambda m: (m.heat, m.thickening), self, (None, None), is_leaf=lambda leaf: leaf is None)
         rigid = self.film.rigid()
         base = cold if rigid is None else eqx.tree_at(lambda m: m.film, cold, rigid)
         kind = type(base.film)
@@ -179,6 +185,9 @@ class Lubricated(AbstractClearanceModel):
         effects = contact_effects(base, f"{film} ({type(self.boundary).__name__}) and elastic contact")
         if rigid is not None:
             effects = (*effects, Effect(f"elastic liner ({len(self.film.memory)} points)", cold))
+        if self.thickening is not None:
+            thick = eqx.tree_at(lambda m: m.heat, self, None, is_leaf=lambda leaf: leaf is None)
+            effects = (*effects, Effect(f"viscosity by pressure ({type(self.thickening).__name__})", thick))
         if self.heat is None:
             return effects
         return (*effects, Effect(f"warm oil ({type(self.heat.viscosity).__name__})", self))
@@ -194,6 +203,17 @@ class Lubricated(AbstractClearanceModel):
             *self.film.requirements(),
             *contact_law_requirements(self.normal, self.friction, self.conformity),
             *([] if self.heat is None else (r._replace(field=f"heat.{r.field}") for r in self.heat.requirements())),
+            *self._requirements_of_thickening(),
+        ]
+
+    def _requirements_of_thickening(self) -> list[Requirement]:
+        """A legal law, and a film that knows of it."""
+        if self.thickening is None:
+            return []
+        name, remedy = type(self.film).__name__, "Take FullFilm, ShortBearing or LongBearing, or leave thickening out."
+        return [
+            *(r._replace(field=f"thickening.{r.field}") for r in self.thickening.requirements()),
+            Requirement("film", name, self.film.thickens, "know oil that thickens under pressure", remedy),
         ]
 
     def requirements_of(self, *, is_bearing: bool) -> list[Requirement]:
@@ -300,7 +320,7 @@ class Lubricated(AbstractClearanceModel):
         viscosity = self.viscosity
         if self.heat is not None:
             viscosity = viscosity * self.heat.viscosity.ratio(self.heat.temperature(memory[-1:]))
-        return FilmGap(self.clearance, self.socket_radius, viscosity, self.e_h1, self.boundary)
+        return FilmGap(self.clearance, self.socket_radius, viscosity, self.e_h1, self.boundary, self.thickening)
 
     def _warming_rate(self, film: FilmAction, share: Scalar, memory) -> list[Float[Array, " 1"]]:
         """Of the oil [K/s], which is the last entry of the memory; none without heat."""

@@ -24,6 +24,7 @@ from spherejax.foundations.legal import positive
 from spherejax.foundations.numerics import horner, safe_norm
 from spherejax.foundations.types import Number, Scalar, Unit, Vector3
 from spherejax.physics.laws.films import AbstractFilm, FilmAction, FilmGap, FilmMotion, ratio_vector, swept
+from spherejax.physics.laws.thickening import BearingPressure, points_round, thickened_bearing
 
 _NODES, _WEIGHTS = (np.asarray(each) for each in np.polynomial.legendre.leggauss(40))
 
@@ -143,6 +144,7 @@ class AbstractBearingFilm(AbstractFilm):
     """
 
     is_of_bearing: ClassVar[bool] = True
+    thickens: ClassVar[bool] = True
     length: eqx.AbstractVar[Number]
 
     def requirements(self) -> list[Requirement]:
@@ -160,11 +162,31 @@ class AbstractBearingFilm(AbstractFilm):
         force = -gap.viscosity * self._load(r, velocity, axis, gap)
         petroff = 2.0 * jnp.pi * gap.viscosity * self.length * gap.socket_radius**3 / gap.clearance
         couple = -petroff / jnp.sqrt(1.0 - r @ r) * spin * axis
+        if gap.thickening is not None:
+            braking = petroff / (2.0 * jnp.pi) * spin * axis
+            reduced = self.reduced(motion, gap)
+            added = thickened_bearing(gap.thickening, reduced, self.length * gap.socket_radius, braking)
+            force, couple = force + added.force, couple + added.couple
         arm = jnp.cross(motion.e, force) / 2
         return FilmAction(force, couple - arm, -couple - arm, -(force @ velocity), -(couple @ axis) * spin)
 
+    def range_share(self, motion: FilmMotion, gap: FilmGap) -> Scalar | None:
+        """The largest alpha q as a share of `LARGEST_AT_POINTS`; None for oil that does not thicken."""
+        return None if gap.thickening is None else gap.thickening.range_share(self.reduced(motion, gap).middle)
+
+    def reduced(self, motion: FilmMotion, gap: FilmGap) -> BearingPressure:
+        """The reduced pressure at points round the bearing; of oil that does not thicken the pressure itself."""
+        axis = motion.axis
+        assert axis is not None
+        r, velocity = ratio_vector(motion, gap), swept(motion)
+        return self._pressure(r, velocity - (velocity @ axis) * axis, axis, gap)
+
     def _load(self, r: Vector3, velocity: Vector3, axis: Vector3, gap: FilmGap) -> Vector3:
         """-F/nu [m^2/s]."""
+        raise NotImplementedError
+
+    def _pressure(self, r: Vector3, velocity: Vector3, axis: Vector3, gap: FilmGap) -> BearingPressure:
+        """In the middle of the length."""
         raise NotImplementedError
 
 
@@ -187,6 +209,12 @@ class ShortBearing(AbstractBearingFilm):
         load = short_full_load(r, velocity) if gap.boundary.bears_suction else short_half_load(r, velocity, axis)
         return gap.socket_radius * (self.length / gap.clearance) ** 3 * load
 
+    def _pressure(self, r, velocity, axis, gap):
+        around = points_round(r, velocity, axis, gap.boundary.bears_suction)
+        thickness = 1.0 - around.places @ r
+        scale = 1.5 * gap.viscosity * self.length**2 / gap.clearance**3
+        return BearingPressure(around, scale * (around.places @ velocity) / thickness**3, thickness, True)
+
 
 class LongBearing(AbstractBearingFilm):
     """The film of a long journal bearing (Sommerfeld): oil flows round the journal. Good from L = 4 R on.
@@ -206,3 +234,11 @@ class LongBearing(AbstractBearingFilm):
     def _load(self, r, velocity, axis, gap):
         load = long_full_load(r, velocity) if gap.boundary.bears_suction else long_half_load(r, velocity, axis)
         return self.length * (gap.socket_radius / gap.clearance) ** 3 * load
+
+    def _pressure(self, r, velocity, axis, gap):
+        slope = long_slope(r, velocity)
+        around = points_round(r, slope, axis, gap.boundary.bears_suction)
+        thickness = 1.0 - around.places @ r
+        scale = 12.0 * gap.viscosity * gap.socket_radius**2 / gap.clearance**3
+        pressure = scale * (1.0 + thickness) / thickness**2 * (around.places @ slope)
+        return BearingPressure(around, pressure, thickness, False)

@@ -16,7 +16,8 @@ from spherejax.physics.laws.film import (
     film_force,
     squeeze_coefficient,
 )
-from spherejax.physics.laws.full_film import PressurePeak, pressure_peak, shear_factors
+from spherejax.physics.laws.full_film import PressurePeak, film_slope, pressure_peak, shear_factors
+from spherejax.physics.laws.thickening import BallPressure, BarusThickening, ball_pressure, thickened_ball
 from spherejax.physics.memory import MemoryEntry
 
 LARGEST_OFFSET_RATIO = 0.05
@@ -33,6 +34,7 @@ class FilmGap(NamedTuple):
         viscosity: nu [Pa s].
         transition_offset: e_h1 [m], by which the film is thicker than the gap, so that it stays finite at |e| = c.
         boundary: which parts of the film carry pressure.
+        thickening: how the viscosity grows with the pressure; None for one that does not.
     """
 
     clearance: Number
@@ -40,6 +42,7 @@ class FilmGap(NamedTuple):
     viscosity: Number
     transition_offset: Number
     boundary: AbstractFilmBoundary
+    thickening: BarusThickening | None = None
 
 
 class FilmMotion(NamedTuple):
@@ -90,9 +93,11 @@ class AbstractFilm(AbstractLaw):
 
     Attributes:
         is_of_bearing: whether it is that of a journal in a bearing, and not of a ball in a socket.
+        thickens: whether it knows oil that thickens under pressure.
     """
 
     is_of_bearing: ClassVar[bool] = False
+    thickens: ClassVar[bool] = False
 
     @property
     def memory(self) -> tuple[MemoryEntry, ...]:
@@ -156,7 +161,7 @@ class RadialFilm(AbstractFilm):
 
     def action(self, motion: FilmMotion, gap: FilmGap) -> FilmAction:
         """`film_force`, and no moments."""
-        clearance, radius, viscosity, offset, boundary = gap
+        clearance, radius, viscosity, offset, boundary, _ = gap
         force = film_force(motion.e, motion.e_rate, clearance, radius, viscosity, boundary, offset)
         none = jnp.zeros(3)
         return FilmAction(force, none, none, -(force @ motion.e_rate), jnp.zeros(()))
@@ -182,8 +187,12 @@ class FullFilm(AbstractFilm):
     has less film; heavily loaded joints deform (elastohydrodynamics). For |e| beyond `MAXIMUM_ECCENTRICITY_RATIO` of
     c + e_h1 the film is that at this ratio.
 
+    With oil that thickens under pressure this is the film of the reduced pressure, see `thickening`.
+
     Source: derived here, see `full_film`.
     """
+
+    thickens: ClassVar[bool] = True
 
     def action(self, motion: FilmMotion, gap: FilmGap) -> FilmAction:
         """Force, and moments that keep the angular momentum of the pair."""
@@ -198,12 +207,29 @@ class FullFilm(AbstractFilm):
         across = along + (r @ r) * excess
         # 8 pi nu R^4/(3 c) = 4/9 C c^2
         couple = -4.0 / 9.0 * coefficient * gap.clearance**2 * (across * spin - excess * (r @ spin) * r)
+        if gap.thickening is not None:
+            braking = gap.viscosity * gap.socket_radius**4 / gap.clearance * spin
+            added = thickened_ball(gap.thickening, self._reduced(motion, gap), gap.socket_radius**2, braking)
+            force, couple = force + added.force, couple + added.couple
         arm = jnp.cross(motion.e, force) / 2
         return FilmAction(force, couple - arm, -couple - arm, -(force @ velocity), -(couple @ spin))
 
+    def range_share(self, motion: FilmMotion, gap: FilmGap) -> Scalar | None:
+        """The largest alpha q as a share of `LARGEST_AT_POINTS`; None for oil that does not thicken."""
+        if gap.thickening is None:
+            return None
+        return gap.thickening.range_share(self._reduced(motion, gap).pressure)
+
+    def _reduced(self, motion: FilmMotion, gap: FilmGap) -> BallPressure:
+        r, scale = ratio_vector(motion, gap), 12.0 * gap.viscosity * gap.socket_radius**2 / gap.clearance**3
+        return ball_pressure(r, film_slope(r, swept(motion)), scale, gap.boundary.bears_suction)
+
     def pressure_peak(self, motion: FilmMotion, gap: FilmGap) -> PressurePeak:
-        """See `pressure_peak`, for V."""
-        return _pressure_peak(swept(motion), motion, gap)
+        """See `pressure_peak`, for V; of oil that thickens the pressure, not the reduced one."""
+        peak = _pressure_peak(swept(motion), motion, gap)
+        if gap.thickening is None:
+            return peak
+        return peak._replace(height=peak.height + gap.thickening.excess(peak.height).pressure)
 
 
 def swept(motion: FilmMotion) -> Vector3:

@@ -123,7 +123,7 @@ def half_sphere_load(r: Vector3, velocity: Vector3) -> Vector3:
     Source: derived here.
     """
     square = r @ r
-    w = _slope(r, velocity)
+    w = film_slope(r, velocity)
     size = safe_norm(w)
     slant = (r @ w) / jnp.where(size > 0, size, 1.0)
     near = square < _QUADRATURE_SQUARE
@@ -134,7 +134,7 @@ def half_sphere_load(r: Vector3, velocity: Vector3) -> Vector3:
     return 4.0 * (a * w + d * (size * r - slant * w))
 
 
-def _slope(r: Vector3, velocity: Vector3) -> Vector3:
+def film_slope(r: Vector3, velocity: Vector3) -> Vector3:
     """W = V_n n/4 + V_t/(4 + eps**2), without n."""
     square = r @ r
     return velocity / (4.0 + square) + r * (r @ velocity) / (4.0 * (4.0 + square))
@@ -170,7 +170,7 @@ def pressure_peak(r: Vector3, velocity: Vector3) -> PressurePeak:
 
     Source: derived here from the pressure above.
     """
-    w = _slope(r, velocity)
+    w = film_slope(r, velocity)
     size = safe_norm(w)
     ahead = w / jnp.where(size > 0, size, 1.0)
     slant = r @ ahead

@@ -91,7 +91,7 @@ class LinedBearing(AbstractFilm):
         As the liner stiffens the film becomes that of a rigid bearing, and its states as fast as k_w c**3/(eta L**2)
         [1/s].
 
-    Source: derived here; see the head of this file.
+    Source: derived here; columns in journal bearings as in Higginson (1965), Proc. IMechE 180 (3B):31-38.
     """
 
     is_of_bearing: ClassVar[bool] = True

@@ -1,0 +1,255 @@
+"""Viscosity by pressure: what an oil that thickens under the film's own pressure adds to load and couple.
+
+With eta(p) = eta_0 exp(alpha p) the reduced pressure q = (1 - exp(-alpha p))/alpha turns Reynolds' equation, whatever
+the gap, into that of a constant viscosity:
+
+    div(h**3/eta grad p) = div(h**3/eta_0 grad q),    p = -ln(1 - alpha q)/alpha,    eta = eta_0/(1 - alpha q)
+
+So the closed forms of `full_film` and `bearings` are of q, and exact; its edge is that of p. What p bears beyond q, and
+what the thicker oil brakes beyond the thin one, is integrated over points of the film.
+"""
+
+from typing import Annotated, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from spherejax.foundations.checks import Requirement
+from spherejax.foundations.legal import positive
+from spherejax.foundations.numerics import safe_norm
+from spherejax.foundations.types import Number, Scalar, Unit, Vector3
+from spherejax.physics.laws.base import AbstractLaw
+
+LARGEST_REDUCED = 0.9
+"""alpha q up to which the logarithm is taken: there the viscosity is ten times that without pressure. Beyond, pressure
+and viscosity go on straight, so that trial steps stay finite."""
+
+LARGEST_AT_POINTS = 0.7
+"""alpha q at the points of a film up to which a run says nothing. At an eccentricity ratio of 0.9 the highest pressure,
+between the points, is a quarter higher."""
+
+_HALF, _HALF_WEIGHTS = (np.asarray(row) for row in np.polynomial.legendre.leggauss(6))
+_AXIAL, _AXIAL_WEIGHTS = (_HALF + 1) / 2, _HALF_WEIGHTS / 2
+"""Of half of a bearing's length."""
+
+_NODES, _WEIGHTS = (np.asarray(row) for row in np.polynomial.legendre.leggauss(16))
+"""Round half of a bearing."""
+
+_TURN_NODES, _TURN_WEIGHTS = (np.asarray(row) for row in np.polynomial.legendre.leggauss(10))
+_RISE_NODES, _RISE_WEIGHTS = (np.asarray(row) for row in np.polynomial.legendre.leggauss(6))
+"""Over half of a ball's film: in the plane of its middle and the smallest gap, and across that plane."""
+
+
+class Excess(NamedTuple):
+    """What pressure adds.
+
+    Attributes:
+        pressure: p - q [Pa].
+        viscosity: eta/eta_0 - 1 [-].
+    """
+
+    pressure: Array
+    viscosity: Array
+
+
+class BarusThickening(AbstractLaw):
+    """The viscosity grows exponentially with the pressure: eta(p) = eta_0 exp(alpha p).
+
+    The film's pressure is exact, by the reduced pressure q = (1 - exp(-alpha p))/alpha, which obeys Reynolds' equation
+    of the viscosity eta_0. There is none where alpha q >= 1: oil that thickens so under a given motion has no finite
+    pressure. A run in which alpha q exceeds `LARGEST_AT_POINTS` warns (`OutOfRangeWarning`).
+
+    Attributes:
+        coefficient: alpha [1/Pa]; 1e-8 to 3e-8 for mineral oils.
+
+    Limits: load and couple within 1 % up to alpha q = 0.6 at an eccentricity ratio of 0.8, 3 % at 0.9. Mineral oils
+        follow it to some 100 MPa; beyond they thicken less (Roelands). Near p = 0 Roelands' law has
+        alpha = 5.1e-9/Pa Z (ln(eta_0/(1 Pa s)) + 9.67) with its index Z, 0.4 to 0.7 for most oils.
+
+    Source: Barus (1893), Am. J. Sci. 45:87-96; the reduced pressure is Grubin's.
+    """
+
+    coefficient: Annotated[Number, Unit("1/Pa")]
+
+    def reduced_share(self, reduced: Array) -> Array:
+        """alpha q [-]."""
+        return self.coefficient * reduced
+
+    def excess(self, reduced: Array) -> Excess:
+        """p - q and eta/eta_0 - 1 of a reduced pressure q [Pa]; straight lines beyond `LARGEST_REDUCED`."""
+        share = self.reduced_share(reduced)
+        inside = jnp.minimum(share, LARGEST_REDUCED)
+        beyond = (share - inside) / (1.0 - LARGEST_REDUCED)
+        pressure = (beyond - jnp.log1p(-inside) - share) / self.coefficient
+        viscosity = inside / (1.0 - inside) + beyond / (1.0 - LARGEST_REDUCED)
+        return Excess(pressure, viscosity)
+
+    def range_share(self, reduced: Array) -> Scalar:
+        """The largest alpha q as a share of `LARGEST_AT_POINTS`."""
+        return jnp.max(self.reduced_share(reduced)) / LARGEST_AT_POINTS
+
+    def requirements(self) -> list[Requirement]:
+        """alpha > 0."""
+        return [positive("coefficient", self.coefficient, "1/Pa")]
+
+
+class Thickened(NamedTuple):
+    """What thickening adds to a film.
+
+    Attributes:
+        force: on the ball [N].
+        couple: on the ball, of shear [N m].
+    """
+
+    force: Vector3
+    couple: Vector3
+
+
+class Round(NamedTuple):
+    """Points round half or all of a bearing.
+
+    Attributes:
+        places: unit vectors from the axis.
+        weights: angles [rad].
+    """
+
+    places: Float[Array, "n 3"]
+    weights: Float[Array, " n"]
+
+
+def points_round(r: Vector3, middle: Vector3, axis: Vector3, bears_suction: bool | None) -> Round:
+    """Points over the half of the circle about a vector, where the pressure is, and over the other half with suction.
+
+    They crowd where the gap is smallest, a = a_n + b sinh(t) with cosh(b) = 1/eps, as those of `long_half_load`. They
+    are not differentiated: where they lie matters to the error of the rule alone, and at the edge there is nothing.
+    """
+    halves = [_half_round(r, middle, axis)]
+    if bears_suction:
+        halves.append(_half_round(r, -middle, axis))
+    return Round(*(jnp.concatenate(parts) for parts in zip(*halves, strict=True)))
+
+
+def _half_round(r: Vector3, middle: Vector3, axis: Vector3) -> Round:
+    r, middle, axis = jax.lax.stop_gradient((r, middle, axis))
+    size = safe_norm(middle)
+    w = middle / jnp.where(size > 0, size, 1.0)
+    m = jnp.cross(axis, w)
+    angles, weights = _crowded(*_crowding(r @ w, r @ m), _NODES, _WEIGHTS)
+    return Round(jnp.cos(angles)[:, None] * w + jnp.sin(angles)[:, None] * m, weights)
+
+
+def _crowding(x: Scalar, y: Scalar) -> tuple[Scalar, Scalar]:
+    """The angle of the smallest gap, and how wide it is."""
+    eps = jnp.sqrt(jnp.maximum(x * x + y * y, 1e-8))
+    place = jnp.arctan2(y, jnp.where(eps > 2e-4, x, 1.0))
+    return place, jnp.log((1.0 + jnp.sqrt(jnp.maximum(1.0 - eps * eps, 0.0))) / eps)
+
+
+def _crowded(place: Scalar, width: Scalar, nodes: np.ndarray, weights: np.ndarray) -> tuple[Array, Array]:
+    """Angles from -pi/2 to pi/2 that crowd about one of them, and their weights."""
+    low, high = jnp.arcsinh((-0.5 * jnp.pi - place) / width), jnp.arcsinh((0.5 * jnp.pi - place) / width)
+    t = 0.5 * (high + low) + 0.5 * (high - low) * nodes
+    return place + width * jnp.sinh(t), 0.5 * (high - low) * weights * width * jnp.cosh(t)
+
+
+class BearingPressure(NamedTuple):
+    """Reduced pressure of a bearing at points round it.
+
+    Attributes:
+        around: the points.
+        middle: q in the middle of the length [Pa].
+        gap: h/c.
+        is_parabolic: whether q falls to the ends as a parabola (static); else it is the same along the axis.
+    """
+
+    around: Round
+    middle: Float[Array, " n"]
+    gap: Float[Array, " n"]
+    is_parabolic: bool
+
+
+def thickened_bearing(law: BarusThickening, found: BearingPressure, area: Number, braking: Vector3) -> Thickened:
+    """What thickening adds in a bearing.
+
+    Args:
+        law: of the viscosity.
+        found: reduced pressure.
+        area: L R [m^2].
+        braking: eta_0 L R^3/c times the angular velocity of the journal against the bearing [N m].
+    """
+    shape, weights = (1.0 - _AXIAL**2, _AXIAL_WEIGHTS) if found.is_parabolic else (np.ones(1), np.ones(1))
+    excess = law.excess(found.middle[:, None] * shape)
+    pressure, viscosity = excess.pressure @ weights, excess.viscosity @ weights
+    force = -area * ((found.around.weights * pressure) @ found.around.places)
+    return Thickened(force, -jnp.sum(found.around.weights * viscosity / found.gap) * braking)
+
+
+class BallPressure(NamedTuple):
+    """Reduced pressure of a ball's film at points of half or all of the sphere.
+
+    Attributes:
+        places: unit vectors u.
+        weights: solid angles.
+        pressure: q [Pa].
+        gap: h/c.
+    """
+
+    places: Float[Array, "n 3"]
+    weights: Float[Array, " n"]
+    pressure: Float[Array, " n"]
+    gap: Float[Array, " n"]
+
+
+def ball_pressure(r: Vector3, slope: Vector3, scale: Number, bears_suction: bool | None) -> BallPressure:
+    """q = scale (2 - r.u)/(1 - r.u)**2 u.W at points of the film of `full_film`.
+
+    Args:
+        r: e/(c + e_h1).
+        slope: W [m/s].
+        scale: 12 eta_0 R^2/c^3 [Pa s/m].
+        bears_suction: whether the half where u.W < 0 counts as well (static).
+    """
+    halves = [_half_ball(r, slope)]
+    if bears_suction:
+        halves.append(_half_ball(r, -slope))
+    places, weights = (jnp.concatenate(parts) for parts in zip(*halves, strict=True))
+    gap = 1.0 - places @ r
+    return BallPressure(places, weights, scale * (1.0 + gap) / gap**2 * (places @ slope), gap)
+
+
+def _half_ball(r: Vector3, slope: Vector3) -> tuple[Array, Array]:
+    """Points of the half of the sphere about W, u = cos(b) (cos(a) w + sin(a) m) + sin(b) w x m with r in the plane of
+    w and m: those of `_half_round` in a, and as crowded about that plane in b."""
+    r, slope = jax.lax.stop_gradient((r, slope))
+    size = safe_norm(slope)
+    w = slope / jnp.where(size > 0, size, 1.0)
+    across = r - (r @ w) * w
+    # With r along w any direction across w will do: that of the axis that w is farthest from.
+    other = jnp.where(jnp.abs(w) <= jnp.min(jnp.abs(w)), 1.0, 0.0)
+    other = other - (other @ w) * w
+    lean = safe_norm(across)
+    m = jnp.where(lean > 1e-9, across / jnp.where(lean > 0, lean, 1.0), other / safe_norm(other))
+    place, width = _crowding(r @ w, r @ m)
+    turns, turn_weights = _crowded(place, width, _TURN_NODES, _TURN_WEIGHTS)
+    rises, rise_weights = _crowded(jnp.zeros(()), width, _RISE_NODES, _RISE_WEIGHTS)
+    flat = jnp.cos(turns)[:, None] * w + jnp.sin(turns)[:, None] * m
+    places = jnp.cos(rises)[:, None, None] * flat + jnp.sin(rises)[:, None, None] * jnp.cross(w, m)
+    weights = (rise_weights * jnp.cos(rises))[:, None] * turn_weights
+    return places.reshape(-1, 3), weights.reshape(-1)
+
+
+def thickened_ball(law: BarusThickening, found: BallPressure, area: Number, braking: Vector3) -> Thickened:
+    """What thickening adds in a ball's film.
+
+    Args:
+        law: of the viscosity.
+        found: reduced pressure.
+        area: R^2 [m^2].
+        braking: eta_0 R^4/c times the angular velocity of the ball against the socket [N m].
+    """
+    excess = law.excess(found.pressure)
+    sheared = found.weights * excess.viscosity / found.gap
+    couple = (sheared * (found.places @ braking)) @ found.places - jnp.sum(sheared) * braking
+    return Thickened(-area * ((found.weights * excess.pressure) @ found.places), couple)

@@ -1,0 +1,300 @@
+"""Oil that thickens under the film's pressure: Reynolds' equation, loads by other integrals, runs, limits."""
+
+import math
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
+
+import spherejax as sj
+from spherejax.physics.kinematics import RelativeMotion
+from spherejax.physics.laws.films import FilmGap, FilmMotion
+
+RADIUS, LENGTH, CLEARANCE, VISCOSITY, SPEED = 0.02, 0.02, 1e-4, 0.05, 300.0
+AXIS = jnp.array([0.0, 0.0, 1.0])
+GUEMBEL, SOMMERFELD = sj.Guembel(), sj.Sommerfeld()
+FILMS = {
+    "ball": sj.laws.FullFilm(),
+    "short": sj.laws.ShortBearing(LENGTH),
+    "long": sj.laws.LongBearing(5 * RADIUS),
+}
+
+
+def gap(boundary, thickening=None):
+    return FilmGap(CLEARANCE, RADIUS, VISCOSITY, 0.0, boundary, thickening)
+
+
+def moved(name, eps, seed):
+    """A motion of a ball, or of a journal across its axis."""
+    r = np.random.default_rng(seed)
+    e, rate, spin = r.normal(size=3), r.normal(scale=0.03, size=3), r.normal(scale=100.0, size=3)
+    if name != "ball":
+        e[2] = rate[2] = spin[0] = spin[1] = 0.0
+    e *= eps * CLEARANCE / np.linalg.norm(e)
+    return FilmMotion(*map(jnp.asarray, (e, rate, np.zeros(3), spin)), None if name == "ball" else AXIS)
+
+
+def law_for(film, motion, boundary, largest):
+    """The alpha [1/Pa] at which alpha q reaches about a value."""
+    share = film.range_share(motion, gap(boundary, sj.laws.BarusThickening(1.0)))
+    return sj.laws.BarusThickening(largest / (0.7 * float(share)))
+
+
+def swept(motion):
+    return np.asarray(motion.e_rate - jnp.cross(motion.ball_spin / 2, motion.e))
+
+
+def by_other_integral(name, motion, alpha, suction, n=120):
+    """Force on the ball and couple of shear [N, N m]: the pressure's formulas on even grids of many points."""
+    r, v, spin = np.asarray(motion.e) / CLEARANCE, swept(motion), np.asarray(motion.ball_spin)
+    heights, weights = np.polynomial.legendre.leggauss(n)
+    angles = 2 * np.pi * (np.arange(2 * n) + 0.5) / (2 * n)
+    if name == "ball":
+        slope = v / (4 + r @ r) + r * (r @ v) / (4 * (4 + r @ r))
+        frame = np.linalg.svd(slope[:, None])[0] * np.sign(np.linalg.svd(slope[:, None])[0][:, 0] @ slope)
+        heights, weights = (heights + 1) / 2, weights / 2
+        sides = [(1.0, heights), (1.0, -heights)] if suction else [(1.0, heights)]
+        force, couple = np.zeros(3), np.zeros(3)
+        for _, s in sides:
+            across = np.cos(angles)[:, None] * frame[:, 1] + np.sin(angles)[:, None] * frame[:, 2]
+            u = s[:, None, None] * frame[:, 0] + np.sqrt(1 - s * s)[:, None, None] * across
+            x = u @ r
+            q = 12 * VISCOSITY * RADIUS**2 / CLEARANCE**3 * (2 - x) / (1 - x) ** 2 * (u @ slope)
+            measure = RADIUS**2 * weights[:, None] * np.pi / n
+            force -= np.einsum("ij,ijk->k", measure * -np.log1p(-alpha * q) / alpha, u)
+            shear = measure * RADIUS**2 * VISCOSITY * alpha * q / (1 - alpha * q) / (CLEARANCE * (1 - x))
+            couple -= np.einsum("ij,ijk->k", shear, spin - u * (u @ spin)[..., None])
+        return force, couple
+    length = LENGTH if name == "short" else 5 * RADIUS
+    u = np.stack([np.cos(angles), np.sin(angles), 0 * angles], 1)
+    x, s = u @ r, heights
+    if name == "short":
+        q = 1.5 * VISCOSITY * length**2 / CLEARANCE**3 * (u @ v) / (1 - x) ** 3
+        q = q[:, None] * (1 - s * s)
+    else:
+        slope = v / (2 + r @ r) + r * (r @ v) / (2 * (2 + r @ r))
+        q = 12 * VISCOSITY * RADIUS**2 / CLEARANCE**3 * (2 - x) / (1 - x) ** 2 * (u @ slope)
+        q = q[:, None] * np.ones_like(s)
+    q = q if suction else np.maximum(q, 0.0)
+    measure = weights / 2 * length * RADIUS * np.pi / n
+    force = -((-np.log1p(-alpha * q) / alpha) @ measure) @ u
+    shear = (alpha * q / (1 - alpha * q)) @ measure * RADIUS**2 * VISCOSITY / (CLEARANCE * (1 - x))
+    return force, -np.sum(shear) * spin
+
+
+@pytest.mark.parametrize("boundary", [GUEMBEL, SOMMERFELD], ids=["pressure", "suction"])
+@pytest.mark.parametrize("name", FILMS)
+def test_load_and_couple_are_those_of_finer_integrals(name, boundary):
+    film = FILMS[name]
+    for seed, (eps, largest, tolerance) in enumerate(
+        ((0.0, 0.5, 1e-3), (0.3, 0.6, 2e-3), (0.7, 0.6, 1e-2), (0.8, 0.6, 1e-2), (0.9, 0.6, 3e-2))
+    ):
+        motion = moved(name, max(eps, 1e-9), seed)
+        law = law_for(film, motion, boundary, largest)
+        thin, thick = film.action(motion, gap(boundary)), film.action(motion, gap(boundary, law))
+        force, couple = by_other_integral(name, motion, float(law.coefficient), boundary.bears_suction)
+        atol = tolerance * np.linalg.norm(force)
+        np.testing.assert_allclose(thick.force, force, atol=atol)
+        added = (thick.ball_moment - thick.socket_moment - thin.ball_moment + thin.socket_moment) / 2
+        whole = (thick.ball_moment - thick.socket_moment) / 2
+        np.testing.assert_allclose(added, couple, atol=tolerance * np.linalg.norm(whole))
+        assert -float(thick.force @ swept(motion)) == pytest.approx(float(thick.pressure_power), rel=1e-12)
+        if not boundary.bears_suction:
+            assert np.linalg.norm(force) > 1.02 * np.linalg.norm(thin.force)
+            assert thick.pressure_power > thin.pressure_power
+            assert thick.shear_power > thin.shear_power
+
+
+def test_the_pressure_obeys_reynolds_equation_with_its_own_viscosity():
+    """Along the axis of a short bearing, h^3 dp/dz = -12 eta(p) V.u z by SciPy from the end inward; and the load."""
+    film, e = FILMS["short"], np.array([0.6 * CLEARANCE, 0.0, 0.0])
+    motion = FilmMotion(jnp.asarray(e), jnp.zeros(3), jnp.zeros(3), SPEED * AXIS, AXIS)
+    law = law_for(film, motion, GUEMBEL, 0.7)
+    alpha, v = float(law.coefficient), swept(motion)
+    nodes, weights = np.polynomial.legendre.leggauss(40)
+    middle = math.atan2(v[1], v[0])
+    force = np.zeros(3)
+    for node, weight in zip(nodes, weights, strict=True):
+        angle = middle + node * math.pi / 2
+        u = np.array([math.cos(angle), math.sin(angle), 0.0])
+        drive = 12 * VISCOSITY * (v @ u) / (CLEARANCE - e @ u) ** 3
+
+        def inward(x, y, drive=drive):
+            return [drive * (LENGTH / 2 - x) * math.exp(alpha * y[0]), y[0]]
+
+        end = solve_ivp(inward, (0.0, LENGTH / 2), [0.0, 0.0], rtol=1e-9, atol=1e-9).y[1, -1]
+        force -= weight * math.pi / 2 * RADIUS * 2 * end * u
+    thick = film.action(motion, gap(GUEMBEL, law))
+    np.testing.assert_allclose(thick.force, force, atol=2e-4 * np.linalg.norm(force))
+    assert np.linalg.norm(force) > 1.25 * float(jnp.linalg.norm(film.action(motion, gap(GUEMBEL)).force))
+
+
+def test_little_thickening_changes_little_and_the_film_is_the_same_without():
+    for name, film in FILMS.items():
+        motion = moved(name, 0.6, 3)
+        thin = film.action(motion, gap(GUEMBEL))
+        thick = film.action(motion, gap(GUEMBEL, sj.laws.BarusThickening(1e-14)))
+        np.testing.assert_allclose(thick.force, thin.force, rtol=1e-6)
+        np.testing.assert_allclose(thick.ball_moment, thin.ball_moment, rtol=1e-6, atol=1e-12)
+
+
+# Runs
+
+
+def model_of(thickening, name="short", **options):
+    conformity = None if name == "ball" else sj.laws.JohnsonCylinder(LENGTH)
+    return sj.Lubricated(
+        CLEARANCE,
+        VISCOSITY,
+        socket_radius=RADIUS,
+        film=FILMS[name],
+        conformity=conformity,
+        thickening=thickening,
+        **options,
+    )
+
+
+def journal(model, load):
+    shaft = sj.Body(1.0, (1e-4, 1e-4, 1e-4), angular_velocity=(0.0, 0.0, SPEED))
+    joints = {
+        "bearing": sj.Revolute(("ground", "shaft"), (0, 0, 0), (0, 0, 1), model),
+        "motor": sj.RotationDriver(("ground", "shaft"), (0, 0, 1), sj.functions.Linear(SPEED)),
+    }
+    return sj.Scene({"shaft": shaft}, joints, gravity=(0.0, -load, 0.0))
+
+
+def socket(model):
+    body = sj.Body(0.2, (1e-3, 1e-3, 1e-3), angular_velocity=(0, 0, SPEED), points={"center": (0, 0, 0)})
+    joint = sj.Spherical("ground.socket", "ball.center", model)
+    return sj.Scene({"ball": body}, {"joint": joint}, gravity=(0, 0, -500), ground_points={"socket": (0, 0, 0)})
+
+
+@pytest.mark.slow
+def test_a_loaded_journal_stands_where_the_thicker_oil_bears_it():
+    law, load = sj.laws.BarusThickening(2e-7), 400.0
+    run = sj.simulate(journal(model_of(law, e_h0=0.0, e_h1=0.0), load), [0.0, 0.1, 0.2], rtol=1e-8)
+    assert run.succeeded
+
+    def size(eps, alpha):
+        motion = FilmMotion(jnp.array([eps * CLEARANCE, 0.0, 0.0]), jnp.zeros(3), jnp.zeros(3), SPEED * AXIS, AXIS)
+        if alpha == 0:
+            return float(jnp.linalg.norm(FILMS["short"].action(motion, gap(GUEMBEL)).force))
+        return np.linalg.norm(by_other_integral("short", motion, alpha, False, 60)[0])
+
+    eps = float(jnp.linalg.norm(run.eccentricity("bearing")[-1])) / CLEARANCE
+    assert eps == pytest.approx(brentq(lambda eps: size(eps, 2e-7) - load, 0.3, 0.68), rel=1e-3)
+    thin = brentq(lambda eps: size(eps, 0.0) - load, 0.1, 0.95)
+    assert eps < 0.98 * thin
+
+
+@pytest.mark.slow
+def test_oil_that_thickens_without_bound_is_said():
+    with pytest.warns(sj.errors.OutOfRangeWarning, match=r"'bearing'.*thickens.*alpha"):
+        run = sj.simulate(journal(model_of(sj.laws.BarusThickening(1e-6)), 3000.0), [0.0, 0.02])
+    assert run.succeeded
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["short", "ball"])
+def test_every_number_has_its_derivative(name):
+    """Of the place after a while, forward against differences: alpha, viscosity, clearance, radius."""
+    start = jnp.array([5e-8, VISCOSITY, CLEARANCE, RADIUS])
+
+    def final(numbers):
+        alpha, viscosity, c, radius = numbers
+        model = sj.Lubricated(
+            c,
+            viscosity,
+            socket_radius=radius,
+            film=FILMS[name],
+            normal=sj.Hertz(stiffness=1e10),
+            thickening=sj.laws.BarusThickening(alpha),
+        )
+        joint, scene = ("joint", socket(model)) if name == "ball" else ("bearing", journal(model, 1000.0))
+        return sj.simulate(scene, [0.0, 0.01], rtol=1e-9).eccentricity(joint)[-1] / CLEARANCE
+
+    slopes = np.asarray(jax.jacfwd(final)(start)) * np.asarray(start)
+    rows = np.asarray(start) * (1 + 1e-4 * np.concatenate([np.eye(4), -np.eye(4)]))
+    values = np.asarray(jax.jit(jax.vmap(final))(jnp.asarray(rows)))
+    differences = ((values[:4] - values[4:]) / 2e-4).T
+    np.testing.assert_allclose(slopes, differences, rtol=1e-4, atol=1e-6)
+    assert (np.abs(slopes).max(0) > 1e-4).all()
+
+
+# Limits, errors, files, cost
+
+
+@pytest.mark.parametrize("name", FILMS)
+def test_nothing_that_can_be_reached_is_not_a_number(name):
+    """At rest, centered, along and across, near the wall and beyond; thin and far too thick; and derivatives."""
+
+    @jax.jit
+    @jax.vmap
+    def answer(e, rate, across, spin, alpha):
+        def of(e, rate, alpha):
+            model = model_of(sj.laws.BarusThickening(alpha), name)
+            motion = RelativeMotion(
+                jnp.array([1.0, 0.0, 0.0]) * e,
+                jnp.array([rate, across * rate, 0.0]),
+                jnp.eye(3),
+                jnp.array([1.0, 0.0, 0.0, 0.0]),
+                jnp.zeros(3),
+                jnp.array([0.0, 0.0, 1.0]) * spin,
+            )
+            response = model.respond(motion, jnp.where(e > CLEARANCE, 1e-3, 0.0)[None])
+            return jnp.concatenate([response.force, response.ball_moment, response.socket_moment])
+
+        return of(e, rate, alpha), jax.jacfwd(of, (0, 1, 2))(e, rate, alpha)
+
+    grid = jnp.meshgrid(
+        jnp.array([0.0, 5e-5, 9.9e-5, 1.2e-4]),
+        jnp.array([0.0, -1.0]),
+        jnp.array([0.0, 1.0]),
+        jnp.array([0.0, 300.0]),
+        jnp.array([1e-10, 1e-3]),
+        indexing="ij",
+    )
+    found = answer(*(axis.ravel() for axis in grid))
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(found))
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"thickening": sj.laws.BarusThickening(0.0)}, r"thickening\.coefficient = 0 must be positive.*1/Pa"),
+        (
+            {"thickening": sj.laws.BarusThickening(2e-8), "film": sj.laws.RadialFilm()},
+            r"film = 'RadialFilm' must know oil that thickens.*FullFilm",
+        ),
+    ],
+)
+def test_wrong_numbers_are_named(options, said):
+    with pytest.raises(sj.SceneError, match=said):
+        sj.equations.compile_scene(socket(sj.Lubricated(CLEARANCE, **options)))
+
+
+def test_a_file_gives_the_coefficient_with_its_unit(tmp_path):
+    scene = journal(model_of(sj.laws.BarusThickening(2e-8)), 100.0)
+    path = tmp_path / "thick.toml"
+    sj.save_scene(scene, path)
+    assert eqx.tree_equal(sj.load_scene(path), scene)
+    path.write_text(path.read_text().replace("coefficient = 2e-08", 'coefficient = "20 1/GPa"'))
+    law = sj.load_scene(path).joints["bearing"].model.thickening
+    assert law.coefficient == pytest.approx(2e-8)
+
+
+@pytest.mark.parametrize("name", ["short", "ball"])
+def test_effects_say_what_thickening_costs_and_thin_oil_has_none_of_it(name):
+    build = (lambda model: socket(model)) if name == "ball" else (lambda model: journal(model, 100.0))
+    thick, thin = (
+        sj.effects(build(model_of(law, name)), timed=False).rows for law in (sj.laws.BarusThickening(2e-8), None)
+    )
+    assert [row[1:-1] for row in thick[:-1]] == [row[1:-1] for row in thin]
+    last, before = thick[-1], thick[-2]
+    assert last.effect == "viscosity by pressure (BarusThickening)"
+    assert last.n_states == before.n_states
+    assert 100 < last.n_operations - before.n_operations < 5000
