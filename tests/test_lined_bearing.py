@@ -12,6 +12,8 @@ from scipy.integrate import simpson
 from scipy.sparse.linalg import spsolve
 
 import spherejax as sj
+from spherejax.model.system import compile_scene
+from spherejax.motion.start.doubts import doubts_of
 from spherejax.physics.kinematics import RelativeMotion
 from spherejax.physics.laws.films import FilmGap, FilmMotion
 
@@ -381,6 +383,38 @@ def test_wrong_numbers_are_named(film, said):
     model = eqx.tree_at(lambda m: m.film, model_of(), film())
     with pytest.raises(sj.SceneError, match=said):
         sj.equations.compile_scene(journal(model))
+
+
+HARD = sj.laws.WinklerLiner(1e12, 0.3, 2e-3)
+
+
+@pytest.mark.parametrize(
+    ("film", "radii", "eps", "ratio", "said"),
+    [
+        (sj.laws.ShortBearing, 1.0, 0.8, 1.65, None),
+        (sj.laws.ShortBearing, 3.0, 0.5, 2.37, "ShortBearing is for bearings shorter than their radius"),
+        (sj.laws.LongBearing, 4.0, 0.5, 1.39, None),
+        (sj.laws.LongBearing, 1.5, 0.5, 4.33, "LongBearing is for bearings longer than four radii"),
+        (lambda length: sj.laws.LinedBearing(length, HARD), 4.0, 0.8, 0.933, None),
+        (lambda length: sj.laws.LinedBearing(length, HARD), 8.0, 0.8, 0.905, "parabola of pressure along the axis"),
+    ],
+)
+def test_a_film_that_is_not_for_the_length_of_its_bearing_is_said(film, radii, eps, ratio, said):
+    """With how much it errs there, beside a grid: its documented limits."""
+    length = radii * RADIUS
+    film = film(length)
+    if film.memory:
+        load = load_of(steady(film, (eps * CLEARANCE, 0.0))[0], length)
+    else:
+        load = load_of(film.action(moving(None, (eps * CLEARANCE, 0.0), spins=(0.0, SPEED)), GAP), length)
+    expected, _ = on_grid(eps, 1e-6, radii / 2, 120, 24)
+    assert np.linalg.norm(load) / np.linalg.norm(expected) == pytest.approx(ratio, rel=0.01)
+    model = sj.Lubricated(
+        CLEARANCE, VISCOSITY, socket_radius=RADIUS, film=film, conformity=sj.laws.JohnsonCylinder(LENGTH)
+    )  # fmt: skip
+    scene = journal(model)
+    found = " ".join(doubts_of(scene, compile_scene(scene).system))
+    assert ("joint" in found and said in found) if said else not found
 
 
 def test_a_ball_has_no_such_film():

@@ -30,7 +30,7 @@ from spherejax.motion.equations.terms import Energies
 from spherejax.motion.integration.problem import initial_state
 from spherejax.motion.integration.status import Status, start_status
 from spherejax.motion.start.assembly import Assembly, as_ideal, assemble
-from spherejax.motion.start.points_beside import points_beside
+from spherejax.motion.start.doubts import doubts_of
 from spherejax.motion.start.start_now import StartWarning, known_start
 from spherejax.physics.joints.base import Crossing, Reaction
 from spherejax.physics.state import State, pack, unpack
@@ -448,7 +448,7 @@ def ode(scene: Scene, *, t0: Number = 0.0, track_work: bool = False, scalar: boo
         if start is None:
             y0 = f.start(t0, args)
         else:
-            for said in (*start.warnings, *points_beside(scene, system)):
+            for said in (*start.warnings, *doubts_of(scene, system)):
                 warnings.warn(said, StartWarning, stacklevel=2)
             y0 = _completed(f, jnp.asarray(t0, jnp.float64), args, start.assembly)
     if compiled.conditions:

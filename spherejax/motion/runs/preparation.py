@@ -19,8 +19,8 @@ from spherejax.model.scene import Scene
 from spherejax.model.system import CompiledScene, System, compile_scene, flatten_system, split, with_laws_by_factor
 from spherejax.motion.equations.programs import path_of
 from spherejax.motion.solvers.automatic import SolverChoice, choose_solver
+from spherejax.motion.start.doubts import doubts_of
 from spherejax.motion.start.jumps import jump_conditions
-from spherejax.motion.start.points_beside import points_beside
 from spherejax.motion.start.start_now import KnownStart, known_start
 from spherejax.motion.start.tolerances import Tolerances, component_tolerances, controller_for
 from spherejax.program_cache import memoized
@@ -94,7 +94,7 @@ def prepared(scene: Scene, track_work: bool, scalar: bool | None) -> PreparedSce
         SceneError: for a scene that cannot be simulated.
     """
     compiled = compile_scene(scene, track_work=track_work)
-    return PreparedScene(compiled, scalar, points_beside(scene, compiled.system))
+    return PreparedScene(compiled, scalar, doubts_of(scene, compiled.system))
 
 
 @memoized(N_SCENES)

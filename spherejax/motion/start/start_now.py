@@ -15,9 +15,9 @@ from spherejax.model.scene import Scene
 from spherejax.model.system import Structure, System, compile_scene, flatten_system
 from spherejax.motion.equations.friction_judgement import refuse_unsolvable_friction
 from spherejax.motion.start.assembly import Assembly, as_ideal, assemble_now
+from spherejax.motion.start.doubts import doubts_of
 from spherejax.motion.start.driver_conflicts import REMEDY, conflicts_at, refuse_driver_conflicts
 from spherejax.motion.start.locked import locked_motors
-from spherejax.motion.start.points_beside import points_beside
 from spherejax.motion.start.positions import moved_bodies
 from spherejax.motion.start.velocities import removed_velocities
 
@@ -185,6 +185,6 @@ def _start_of(scene: Scene, ts: Numeric) -> KnownStart | None:
     try:
         system = compile_scene(scene).system
         start = known_start(system, ts)
-        return None if start is None else start._replace(doubts=(*start.doubts, *points_beside(scene, system)))
+        return None if start is None else start._replace(doubts=(*start.doubts, *doubts_of(scene, system)))
     except SceneError:
         return None

@@ -124,6 +124,11 @@ class AbstractFilm(AbstractLaw):
         """How far out the ball is, as a share of what the film is for: a run warns beyond 1. None for any."""
         return None
 
+    def doubt(self, socket_radius: float) -> str:
+        """What is said before a run of a film that is not for a socket of that radius [m]; empty of one that is."""
+        del socket_radius
+        return ""
+
     @abc.abstractmethod
     def action(self, motion: FilmMotion, gap: FilmGap) -> FilmAction:
         """Force and moments of the film."""
