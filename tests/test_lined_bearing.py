@@ -432,3 +432,75 @@ def test_effects_say_what_the_liner_costs_and_a_rigid_bearing_has_none_of_it():
     assert last.effect == "elastic liner (16 points)"
     assert (last.n_states, last.n_memory) == (before.n_states + 16, before.n_memory + 16)
     assert 0 < last.n_operations - before.n_operations < 1000
+
+
+# Published charts
+
+RAIMONDI_AND_BOYD = (
+    (0.5, 0.2, 2.03, 74.94, 40.9),
+    (0.5, 0.4, 0.779, 61.45, 17.0),
+    (0.5, 0.6, 0.319, 48.14, 8.10),
+    (0.5, 0.8, 0.0923, 33.31, 3.26),
+    (1.0, 0.2, 0.631, 74.02, 12.8),
+    (1.0, 0.4, 0.264, 63.10, 5.79),
+    (1.0, 0.6, 0.121, 50.58, 3.22),
+    (1.0, 0.8, 0.0446, 36.24, 1.70),
+)
+"""Full bearings: L/2R, eps, Sommerfeld number, attitude angle [deg], friction (R/c) f."""
+
+
+def test_hard_bearings_have_the_charts_of_raimondi_and_boyd():
+    """Load and friction, and so the rise of temperature by the charts' own flow, which is in proportion to friction."""
+    hard = sj.laws.WinklerLiner(2e13, 0.4, 1e-3)
+    for slenderness, eps, sommerfeld, attitude, friction in RAIMONDI_AND_BOYD:
+        length = 2 * RADIUS * slenderness
+        action, _ = steady(sj.laws.LinedBearing(length, hard, 48), (eps * CLEARANCE, 0.0))
+        load = -np.asarray(action.force)
+        size = np.linalg.norm(load)
+        number = VISCOSITY * SPEED / (2 * math.pi) * 2 * RADIUS * length / size * (RADIUS / CLEARANCE) ** 2
+        power = float(action.pressure_power + action.shear_power)
+        tolerance = 0.03 if slenderness == 1.0 and eps > 0.7 else 0.013
+        assert number == pytest.approx(sommerfeld, rel=tolerance)
+        assert power / (SPEED * size * CLEARANCE) == pytest.approx(friction, rel=tolerance)
+        assert math.degrees(math.atan2(abs(load[1]), load[0])) == pytest.approx(attitude, abs=4.0)
+
+
+@pytest.mark.slow
+def test_a_warm_bearing_is_near_one_that_was_resolved_in_temperature():
+    """ROSS (github.com/petrobras/ross, tests/data/fluid_film/fixed_adiabatic.json): two pads of 176 degrees, a field of
+    temperature without heat to the bodies. One temperature in a full gap dissipates and warms too much, by a sixth."""
+    radius, length, clearance, cold, load, speed = 0.2, 0.263144, 1.94564e-4, 322.983, 112814.9, 94.24778
+    flow = 854.95 * 1951.5 * 3.6829e-4  # density, specific heat, side flow
+    heat = sj.laws.OilHeat(
+        sj.laws.ReynoldsViscosity(math.log(0.0190157 / 0.00771523) / 30.0, cold),
+        100.0,
+        flow_capacity=flow,
+        inlet_temperature=323.0,
+        start_temperature=336.0,
+    )
+    model = sj.Lubricated(
+        clearance,
+        0.0190157,
+        socket_radius=radius,
+        film=sj.laws.LinedBearing(length, sj.laws.WinklerLiner(2e13, 0.3, 1e-3)),
+        conformity=sj.laws.JohnsonCylinder(length),
+        heat=heat,
+        e_h0=0.0,
+        e_h1=0.0,
+    )
+    shaft = sj.Body(200.0, (1.0, 1.0, 1.0), angular_velocity=(0.0, 0.0, speed))
+    joints = {
+        "bearing": sj.Revolute(("ground", "shaft"), (0, 0, 0), (0, 0, 1), model),
+        "motor": sj.RotationDriver(("ground", "shaft"), (0, 0, 1), sj.functions.Linear(speed)),
+    }
+    run = sj.simulate(sj.Scene({"shaft": shaft}, joints, gravity=(0, -load / 200.0, 0)), [0.0, 1.0, 2.0], rtol=1e-7)
+    e = np.asarray(run.eccentricity("bearing"))[-1] / clearance
+    rise = float(run.part("bearing", "oil_temperature")[-1]) - 323.0
+    power = float(run.part("bearing", "film_power")[-1] + run.part("bearing", "shear_power")[-1])
+    assert rise == pytest.approx(power / flow, rel=1e-3)
+    assert np.linalg.norm(e) == pytest.approx(0.61135, rel=0.05)
+    assert math.degrees(math.atan2(e[0], -e[1])) == pytest.approx(math.degrees(0.80503), abs=1.0)
+    assert float(run.part("bearing", "film_pressure")[-1]) == pytest.approx(2.8018e6, rel=0.08)
+    assert power == pytest.approx(8380.1, rel=0.18)
+    assert rise == pytest.approx(336.61 - 323.0, rel=0.18)
+    assert power > 1.1 * 8380.1
