@@ -29,6 +29,7 @@ TOPICS = (
     "hard_cases",
     "identification",
     "lubrication",
+    "networks",
     "rig",
     "suspension",
     "sweep",
