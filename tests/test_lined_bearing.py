@@ -303,6 +303,7 @@ def test_what_a_free_shaft_loses_is_dissipated():
     assert lost > 0.1
 
 
+@pytest.mark.slow
 def test_a_journal_that_goes_beyond_its_clearance_is_stopped_and_said():
     """A soft liner under a load that it cannot hold within the clearance: dry contact helps, and the run says so."""
     soft = sj.laws.WinklerLiner(5e6, 0.4, 2e-3)
