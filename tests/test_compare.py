@@ -3,6 +3,7 @@
 import csv
 from dataclasses import replace
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -122,6 +123,18 @@ def test_a_journal_keeps_its_film_and_has_one_length():
     rubbing = sj.joint_models(sj.Ideal(friction=sj.Threlfall(mu=0.2), radius=0.01), length=0.02)
     assert rubbing["friction"].friction.mu == 0.2
     assert rubbing["ideal"].friction is None
+
+
+def test_models_like_one_keep_what_its_oil_and_its_surfaces_are():
+    """Warm oil that was compared as cold, and a worn socket as a round one, would say nothing."""
+    heat = sj.laws.OilHeat(sj.laws.ReynoldsViscosity(0.03), 5.0, socket_conductance=1.0)
+    thickening = sj.laws.BarusThickening(2e-8)
+    kept = sj.joint_models(sj.Lubricated(1e-4, 0.1, heat=heat, thickening=thickening), viscosity=0.2)["lubricated"]
+    assert eqx.tree_equal((kept.heat, kept.thickening), (heat, thickening))
+    depth = sj.laws.FourierDepth([1e-5, 2e-6, 0.0])
+    models = sj.joint_models(sj.Dry(1e-4, socket_depth=depth))
+    assert all(eqx.tree_equal(models[name].socket_depth, depth) for name in ("dry", "friction"))
+    assert models["dry"].ball_depth is None
 
 
 def test_the_length_of_a_bearing_is_asked_for_on_the_command_line(tmp_path, capsys):

@@ -198,7 +198,7 @@ def test_what_a_free_pair_loses_its_rims_absorb(free_pair):
 
 
 def test_what_is_of_balls_is_refused(free_pair):
-    with pytest.raises(sj.SceneError, match="'pair_1' is a journal in its bearing"):
+    with pytest.raises(sj.SceneError, match="'pair_1' is a rim of a journal that tilts"):
         sj.wear(free_pair, "pair_1", k_socket=1e-15, k_ball=0.0)
 
 

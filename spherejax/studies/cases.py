@@ -198,9 +198,12 @@ def joint_models(
         options["conformity"] = JohnsonCylinder(length)
     shared = {"clearance": CLEARANCE, **base, **{name: value for name, value in options.items() if value is not None}}
     rubbing = shared.pop("friction", None)
+    # Surfaces that are not round, or worn, stay so in dry contact; a film knows of none.
+    shape = {name: getattr(like, name) for name in ("socket_depth", "ball_depth")} if isinstance(like, Dry) else {}
     wet: dict[str, Any] = {"viscosity": VISCOSITY}
     if isinstance(like, Lubricated):
-        wet = {name: getattr(like, name) for name in ("viscosity", "film", "boundary", "e_h0", "e_h1", "friction")}
+        of_film = ("viscosity", "film", "boundary", "e_h0", "e_h1", "friction", "heat", "thickening")
+        wet = {name: getattr(like, name) for name in of_film}
         if clearance is not None:
             del wet["e_h0"], wet["e_h1"]  # shares of the clearance that was
     elif normal is None:
@@ -219,8 +222,8 @@ def joint_models(
     bushing = like if isinstance(like, Bushing) and stiffness is None and damping is None else None
     return {
         "ideal": Ideal(),
-        "dry": Dry(**shared),
-        "friction": Dry(**shared, friction=Threlfall() if rubbing is None else rubbing),
+        "dry": Dry(**shared, **shape),
+        "friction": Dry(**shared, **shape, friction=Threlfall() if rubbing is None else rubbing),
         "lubricated": Lubricated(**{**shared, **wet}),
         "bushing": bushing or _bushing(stiffness, damping, length),
     }

@@ -44,6 +44,7 @@ WHAT_IS_AUDITED = {
     "turns": "how often angles have gone round is not in doubt",
     "axes": "axes that angles are about tilt by little enough for an angle",
     "film": "the offset of each film is small against its clearance",
+    "film_range": "films on liners, and of oil that thickens, are within what their equations are for",
 }
 
 
