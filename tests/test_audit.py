@@ -164,7 +164,7 @@ def test_every_sound_run_shows_what_was_looked_at():
     joint = sj.Dry(1e-4, friction=sj.Threlfall(mu=0.1))
     run = sj.simulate(sj.gallery.four_bar(joint), jnp.linspace(0.0, 0.05, 6))
     assert [check for check in CHECKS if check not in run.audit] == [
-        "rotations", "turns", "tilt", "film", "axes",
+        "rotations", "turns", "tilt", "film", "film_range", "axes",
     ]  # nothing has an angle, a ball may tilt, and it is dry  # fmt: skip
     shares = np.asarray(run.stats.audit)
     assert shares.shape == (len(CHECKS),)
