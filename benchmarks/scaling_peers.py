@@ -172,14 +172,14 @@ def seconds_at(points: list[tuple[float, float]], error: float) -> float | None:
 
 def shortest(motion: Motion) -> float:
     """Time of a motion [s]."""
-    found = []
+    seconds = []
     for _ in range(5):
         begin = time.perf_counter()
         motion.run()
-        found.append(time.perf_counter() - begin)
-        if sum(found) > 5:
+        seconds.append(time.perf_counter() - begin)
+        if sum(seconds) > 5:
             break
-    return min(found)
+    return min(seconds)
 
 
 def rows_of(sizes) -> Iterator[dict]:

@@ -170,20 +170,20 @@ class BearingPressure(NamedTuple):
     is_parabolic: bool
 
 
-def thickened_bearing(law: BarusThickening, found: BearingPressure, area: Number, braking: Vector3) -> Thickened:
+def thickened_bearing(law: BarusThickening, reduced: BearingPressure, area: Number, braking: Vector3) -> Thickened:
     """What thickening adds in a bearing.
 
     Args:
         law: of the viscosity.
-        found: reduced pressure.
+        reduced: reduced pressure.
         area: L R [m^2].
         braking: eta_0 L R^3/c times the angular velocity of the journal against the bearing [N m].
     """
-    shape, weights = (1.0 - _AXIAL**2, _AXIAL_WEIGHTS) if found.is_parabolic else (np.ones(1), np.ones(1))
-    excess = law.excess(found.middle[:, None] * shape)
+    shape, weights = (1.0 - _AXIAL**2, _AXIAL_WEIGHTS) if reduced.is_parabolic else (np.ones(1), np.ones(1))
+    excess = law.excess(reduced.middle[:, None] * shape)
     pressure, viscosity = excess.pressure @ weights, excess.viscosity @ weights
-    force = -area * ((found.around.weights * pressure) @ found.around.places)
-    return Thickened(force, -jnp.sum(found.around.weights * viscosity / found.gap) * braking)
+    force = -area * ((reduced.around.weights * pressure) @ reduced.around.places)
+    return Thickened(force, -jnp.sum(reduced.around.weights * viscosity / reduced.gap) * braking)
 
 
 class BallPressure(NamedTuple):
@@ -240,16 +240,16 @@ def _half_ball(r: Vector3, slope: Vector3) -> tuple[Array, Array]:
     return places.reshape(-1, 3), weights.reshape(-1)
 
 
-def thickened_ball(law: BarusThickening, found: BallPressure, area: Number, braking: Vector3) -> Thickened:
+def thickened_ball(law: BarusThickening, reduced: BallPressure, area: Number, braking: Vector3) -> Thickened:
     """What thickening adds in a ball's film.
 
     Args:
         law: of the viscosity.
-        found: reduced pressure.
+        reduced: reduced pressure.
         area: R^2 [m^2].
         braking: eta_0 R^4/c times the angular velocity of the ball against the socket [N m].
     """
-    excess = law.excess(found.pressure)
-    sheared = found.weights * excess.viscosity / found.gap
-    couple = (sheared * (found.places @ braking)) @ found.places - jnp.sum(sheared) * braking
-    return Thickened(-area * ((found.weights * excess.pressure) @ found.places), couple)
+    excess = law.excess(reduced.pressure)
+    sheared = reduced.weights * excess.viscosity / reduced.gap
+    couple = (sheared * (reduced.places @ braking)) @ reduced.places - jnp.sum(sheared) * braking
+    return Thickened(-area * ((reduced.weights * excess.pressure) @ reduced.places), couple)
