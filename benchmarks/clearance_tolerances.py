@@ -48,7 +48,7 @@ CASES = {
     "piston, dry journal": piston(sj.Dry(5e-4, conformity=CYLINDER), 0.024),
     "piston, dry journal, 0.1 mm": piston(sj.Dry(1e-4, conformity=CYLINDER), 0.024),
     "piston, journal with film": piston(
-        sj.Lubricated(5e-5, 0.1, film=sj.laws.ShortBearing(0.02), conformity=CYLINDER), 0.02
+        sj.Lubricated(5e-5, 0.1, socket_radius=0.02, film=sj.laws.ShortBearing(0.02), conformity=CYLINDER), 0.02
     ),
     "four-bar, dry": four_bar(sj.Dry(1e-4), 0.1),
     "four-bar, friction": four_bar(sj.Dry(1e-4, friction=FRICTION), 0.2),

@@ -216,13 +216,12 @@ def piston() -> Figure:
     ts = jnp.linspace(0.0, 0.012, 2401)
     contact = sj.laws.JohnsonCylinder(0.02)
     film = sj.laws.ShortBearing(0.02)
+    # A bearing as long as its radius, for which that film is.
+    wide = {"socket_radius": 0.02, "conformity": contact}
     models = (
         ("ideal", sj.Ideal()),
-        ("dry, c = 0.5 mm", sj.Dry(5e-4, conformity=contact)),
-        (
-            "lubricated, c = 0.5 mm",
-            sj.Lubricated(5e-4, 0.4, film=film, conformity=contact),
-        ),
+        ("dry, c = 0.5 mm", sj.Dry(5e-4, **wide)),
+        ("lubricated, c = 0.5 mm", sj.Lubricated(5e-4, 0.4, film=film, **wide)),
     )
     figure = plt.figure(figsize=(8.6, 3.4), layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=(2.3, 1))

@@ -102,7 +102,7 @@ MODELS = {
 }
 
 
-_CYLINDER = sj.laws.JohnsonCylinder(0.02)
+_CYLINDER = sj.laws.JohnsonCylinder(0.01)
 JOURNALS = {
     "johnson": sj.Dry(clearance=C, conformity=_CYLINDER, friction=sj.Threlfall()),
     "worn": sj.Dry(
@@ -112,11 +112,11 @@ JOURNALS = {
         ball_depth=sj.laws.FourierDepth([2e-6, 0.0, 1e-6]),
     ),
     "esdu": sj.Dry(clearance=C, conformity=sj.laws.EsduCylinder(0.02), friction=sj.LuGre()),
-    "short": sj.Lubricated(clearance=C, film=sj.laws.ShortBearing(0.02), conformity=_CYLINDER),
+    "short": sj.Lubricated(clearance=C, film=sj.laws.ShortBearing(0.01), conformity=_CYLINDER),
     "long": sj.Lubricated(clearance=C, film=sj.laws.LongBearing(0.04), conformity=_CYLINDER),
     "warm": sj.Lubricated(
         clearance=C,
-        film=sj.laws.ShortBearing(0.02),
+        film=sj.laws.ShortBearing(0.01),
         conformity=_CYLINDER,
         heat=sj.laws.OilHeat(sj.laws.ReynoldsViscosity(0.03), 0.5, 2.0, 1.0),
     ),
@@ -127,12 +127,12 @@ JOURNALS = {
     ),
     "thickening": sj.Lubricated(
         clearance=C,
-        film=sj.laws.ShortBearing(0.02),
+        film=sj.laws.ShortBearing(0.01),
         conformity=_CYLINDER,
         thickening=sj.laws.BarusThickening(2e-8),
     ),
     "sommerfeld": sj.Lubricated(
-        clearance=C, film=sj.laws.ShortBearing(0.02), boundary=sj.Sommerfeld(), conformity=_CYLINDER
+        clearance=C, film=sj.laws.ShortBearing(0.01), boundary=sj.Sommerfeld(), conformity=_CYLINDER
     ),
 }
 """Models of a revolute joint with clearance."""

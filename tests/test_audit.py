@@ -21,6 +21,7 @@ from spherejax.motion.integration.audit import (
     findings,
     parts_with_a_range,
     suspects,
+    texts_for,
 )  # fmt: skip
 from spherejax.motion.integration.status import Status
 from spherejax.motion.results.run_flags import flagged_runs
@@ -262,6 +263,28 @@ def test_what_goes_beyond_a_range_is_named_by_the_parts_that_have_one():
     first, second = cautions(shares, parts).split("; ")[0], cautions(shares, parts).split("; ")[-1]
     assert first.startswith("one of joint 'dry', joint 'second': surfaces were pressed in")
     assert second.startswith("force element 'torsion': the axis")
+
+
+def test_a_film_beyond_its_range_is_said_with_the_cause_that_its_scene_can_have():
+    lined = sj.laws.LinedBearing(0.01, sj.laws.WinklerLiner(1e8, 0.4, 1e-3), points=16)
+    oil, thickening = {"conformity": sj.laws.JohnsonCylinder(0.01)}, sj.laws.BarusThickening(2e-8)
+    short = sj.laws.ShortBearing(0.01)
+    shares = np.full(len(CHECKS), 0.1)
+    shares[CHECKS.index("film_range")] = 1.5
+    for options, is_out, is_thick in (
+        ({"film": lined}, True, False),
+        ({"film": short, "thickening": thickening}, False, True),
+    ):
+        scene = sj.gallery.journal_bearing(sj.Lubricated(1e-4, **options, **oil))
+        system = sj.equations.compile_scene(scene).system
+        state = described_state(system)
+        y = np.concatenate([state, np.zeros(system.layout.size - state.size)])
+        said = cautions(shares, parts_with_a_range(system, y), texts_for(system))
+        assert said.startswith("joint 'bearing': a film was used beyond its range: ")
+        assert ("further out than 0.8" in said, "alpha q > 0.7" in said) == (is_out, is_thick)
+    both = cautions(shares)
+    assert "further out than 0.8" in both
+    assert "alpha q > 0.7" in both
 
 
 def dry_and_oiled() -> sj.Scene:

@@ -414,8 +414,8 @@ def test_a_bearing_has_a_length_and_laws_of_cylinders():
     dry = model_from(parsed("--joint", "dry", "--length", "20 mm"))
     assert isinstance(dry.conformity, sj.laws.JohnsonCylinder)
     assert dry.conformity.length == pytest.approx(0.02)
-    short = model_from(parsed("--joint", "lubricated", "--length", "0.02"))
-    long = model_from(parsed("--joint", "lubricated", "--length", "0.02", "--film", "long"))
+    short = model_from(parsed("--joint", "lubricated", "--length", "0.01"))
+    long = model_from(parsed("--joint", "lubricated", "--length", "0.04", "--film", "long"))
     assert (type(short.film), type(long.film)) == (sj.laws.ShortBearing, sj.laws.LongBearing)
     for words, said in (
         (("--joint", "lubricated", "--film", "short"), "needs --length"),

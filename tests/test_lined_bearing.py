@@ -1,6 +1,7 @@
 """The film of a bearing with an elastic liner: against Reynolds' equation on a grid, exact series, balances, runs."""
 
 import math
+import re
 
 import equinox as eqx
 import jax
@@ -15,6 +16,7 @@ import spherejax as sj
 from spherejax.model.system import compile_scene
 from spherejax.motion.start.doubts import doubts_of
 from spherejax.physics.kinematics import RelativeMotion
+from spherejax.physics.laws import bearings
 from spherejax.physics.laws.films import FilmGap, FilmMotion
 
 RADIUS, LENGTH, CLEARANCE, VISCOSITY, SPEED = 0.02, 0.02, 1e-4, 0.05, 300.0
@@ -393,9 +395,15 @@ HARD = sj.laws.WinklerLiner(1e12, 0.3, 2e-3)
     ("film", "radii", "eps", "ratio", "said"),
     [
         (sj.laws.ShortBearing, 1.0, 0.8, 1.65, None),
-        (sj.laws.ShortBearing, 3.0, 0.5, 2.37, "ShortBearing is for bearings shorter than their radius"),
+        (
+            sj.laws.ShortBearing,
+            2.0,
+            0.8,
+            3.22,
+            "not longer than their radius; in one of 2 radii.*1.4 times.*3.2 times",
+        ),
         (sj.laws.LongBearing, 4.0, 0.5, 1.39, None),
-        (sj.laws.LongBearing, 1.5, 0.5, 4.33, "LongBearing is for bearings longer than four radii"),
+        (sj.laws.LongBearing, 3.0, 0.5, 1.81, "LongBearing is for bearings of four radii or more"),
         (lambda length: sj.laws.LinedBearing(length, HARD), 4.0, 0.8, 0.933, None),
         (lambda length: sj.laws.LinedBearing(length, HARD), 8.0, 0.8, 0.905, "parabola of pressure along the axis"),
     ],
@@ -415,7 +423,7 @@ def test_a_film_that_is_not_for_the_length_of_its_bearing_is_said(film, radii, e
     )  # fmt: skip
     scene = journal(model)
     doubts = " ".join(doubts_of(scene, compile_scene(scene).system))
-    assert ("joint" in doubts and said in doubts) if said else not doubts
+    assert re.search(f"joint 'bearing': .*{said}", doubts) if said else not doubts
 
 
 FACTORS = {
@@ -427,6 +435,13 @@ FACTORS = {
 }
 """By L/R: loads of short, long and lined bearings over those of the grid, at eccentricity ratios of 0.3, 0.5 and 0.8.
 The table of the page on journals."""
+
+
+def test_what_is_said_of_lengths_is_in_the_table():
+    for kind, said in ((0, bearings.SHORT_FACTORS), (1, bearings.LONG_FACTORS)):
+        assert tuple(zip(*((row[kind][0], row[kind][2]) for row in FACTORS.values()), strict=True)) == said
+    assert tuple(FACTORS) == bearings.LENGTHS
+    assert "at least 5.5 times" in sj.laws.ShortBearing(0.2).doubt(RADIUS)
 
 
 @pytest.mark.slow

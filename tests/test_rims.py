@@ -283,7 +283,7 @@ def test_a_shaft_goes_through_a_file(tmp_path):
     assert all(np.array_equal(a, b) for a, b in zip(jax.tree.leaves(again), jax.tree.leaves(scene), strict=True))
 
 
-OIL = sj.Lubricated(1e-4, 0.4, film=sj.laws.ShortBearing(0.02), conformity=CYLINDER)
+OIL = sj.Lubricated(1e-4, 0.4, film=sj.laws.ShortBearing(0.01), conformity=CYLINDER)
 
 
 @pytest.mark.parametrize(

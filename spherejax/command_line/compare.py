@@ -39,7 +39,7 @@ half of it; later runs are faster, because compiled programs are kept.
 EPILOG = """examples:
   spherejax compare my_mechanism.toml --out results/
   spherejax compare my_mechanism.toml --of elbow --clearance "0.2 mm" --t1 0.5 --quick --out results/
-  spherejax compare my_mechanism.toml --of pin --length "20 mm" --body slider --out results/
+  spherejax compare my_mechanism.toml --of pin --length "10 mm" --body slider --out results/
   spherejax compare four-bar --out results/
   spherejax compare suspension --out results/
   spherejax compare four-bar --film radial --out paper/

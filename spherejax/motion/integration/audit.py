@@ -52,6 +52,8 @@ from spherejax.motion.equations.programs import program_for
 from spherejax.motion.solvers.traits import is_linearly_implicit
 from spherejax.motion.start.tolerances import energy_scale, length_scale
 from spherejax.physics.laws.films import LARGEST_OFFSET_RATIO
+from spherejax.physics.laws.lined import LinedBearing
+from spherejax.physics.laws.thickening import BarusThickening
 from spherejax.physics.state import unpack
 
 ENERGY_SHARE = 1e-3
@@ -97,6 +99,8 @@ WARNINGS = ("conformity", "tilt", "film", "film_range", "axes")
 
 N_FATAL = len(CHECKS) - len(WARNINGS)
 
+FILM_RANGE = "a film was used beyond its range"
+
 FINDINGS = {
     "energy": "the energy rose by more than was put in",
     "loss": "energy vanished that no part took",
@@ -115,11 +119,7 @@ FINDINGS = {
     "film": "the offset e_h1 of a film is more than a twentieth of the clearance: the film acts as if it were thicker "
     "by e_h1, and eccentricities under a load are too large by about the share e_h1/c; leave e_h1 and e_h0 out (they "
     "are 0.02 and 0.01 of the clearance then), or give smaller ones",
-    "film_range": "a film was used beyond its range: on a LinedBearing the journal was further out than 0.8 of the "
-    "clearance, where the pressure is no parabola along the axis and the film bears too little, by a tenth at 0.9 "
-    "(a thicker oil, a longer bearing or a stiffer liner keeps it within); or oil that thickens under pressure came to "
-    "alpha q > 0.7, near 1 where BarusThickening has no finite pressure (take a smaller coefficient alpha, or a load "
-    "that such oil can bear)",
+    "film_range": f"{FILM_RANGE}: {LinedBearing.beyond_range}; or {BarusThickening.beyond_range}",
     "axes": "the axis that an angle is about was tilted by more than 170 degrees against its start, where there is no "
     "angle (a torsional spring, an actuator, a coupler between bodies that tilt): give the two bodies a joint about "
     "that axis, or the element another axis",
@@ -145,7 +145,17 @@ def findings(shares, suspected: Mapping[str, str] = MappingProxyType({})) -> str
     return "; ".join(f"{texts[check]} ({share:.3g} times the limit{where.get(check, '')})" for check, share in found)
 
 
-def cautions(shares, parts: Mapping[str, Sequence[str]] = MappingProxyType({})) -> str:
+def texts_for(system: System) -> dict[str, str]:
+    """`FINDINGS` as they are said of a system: a check with several causes says those that its parts can have."""
+    joints: list[Any] = [system.spherical(name) for name in system.contact_joints]
+    causes = dict.fromkeys(joint.model.beyond_film_range for joint in joints)
+    causes.pop("", None)
+    return FINDINGS | ({"film_range": f"{FILM_RANGE}: {'; or '.join(causes)}"} if causes else {})
+
+
+def cautions(
+    shares, parts: Mapping[str, Sequence[str]] = MappingProxyType({}), texts: Mapping[str, str] = FINDINGS
+) -> str:
     """What a sound run was used for beyond the range of its laws, in words; empty for nothing.
 
     Args:
@@ -153,11 +163,12 @@ def cautions(shares, parts: Mapping[str, Sequence[str]] = MappingProxyType({})) 
 
     Other args:
         parts: for a check the parts that it may be about; see `parts_with_a_range`.
+        texts: what a failed check says; see `texts_for`.
     """
     worst = np.asarray(shares)[..., N_FATAL:].reshape(-1, len(WARNINGS)).max(axis=0, initial=NOT_MADE)
     exceeded = [(check, share) for check, share in zip(WARNINGS, worst, strict=True) if share > 1]
     return "; ".join(
-        f"{_named(parts.get(check, ()))}{FINDINGS[check]} ({share:.3g} times that)" for check, share in exceeded
+        f"{_named(parts.get(check, ()))}{texts[check]} ({share:.3g} times that)" for check, share in exceeded
     )
 
 

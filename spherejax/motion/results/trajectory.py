@@ -16,7 +16,15 @@ from spherejax.foundations.errors import SceneError
 from spherejax.model.system import System, flatten_by_factor
 from spherejax.motion.equations.observables import Observation
 from spherejax.motion.equations.quantities import quantity
-from spherejax.motion.integration.audit import CHECKS, NOT_MADE, cautions, findings, parts_with_a_range, suspects
+from spherejax.motion.integration.audit import (
+    CHECKS,
+    NOT_MADE,
+    cautions,
+    findings,
+    parts_with_a_range,
+    suspects,
+    texts_for,
+)
 from spherejax.motion.integration.not_finite import not_finite_part
 from spherejax.motion.integration.statistics import Statistics
 from spherejax.motion.integration.status import STOPPED_IN_MOTION, SimulationError, Status, diagnosis
@@ -189,7 +197,9 @@ class Trajectory(eqx.Module, Reported):
             text += " (that friction agrees with reactions counts among the constraints)"
         if "energy" not in made:
             text += "; energy is not audited: this method knows too coarsely what drivers, forces or bristles put in"
-        beyond = cautions(shares) and cautions(shares, parts_with_a_range(self.system, self.y_reached))
+        beyond = cautions(shares) and cautions(
+            shares, parts_with_a_range(self.system, self.y_reached), texts_for(self.system)
+        )
         return "; ".join(filter(None, (findings(shares) and self._found(()), beyond, text)))
 
     @property

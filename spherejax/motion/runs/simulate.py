@@ -23,7 +23,7 @@ from spherejax.model.system import System, example_of
 from spherejax.motion.derivatives.refused import without_derivative
 from spherejax.motion.derivatives.sensitivities import integrate_with_sensitivities, through_kinks
 from spherejax.motion.equations.contacts import abrupt_contacts, kinks_of
-from spherejax.motion.integration.audit import cautions, parts_with_a_range
+from spherejax.motion.integration.audit import cautions, parts_with_a_range, texts_for
 from spherejax.motion.integration.one_run import bound_run
 from spherejax.motion.integration.problem import Outcome, Plan, RunInputs, RunMethod
 from spherejax.motion.integration.status import (
@@ -461,7 +461,7 @@ def reported(run: Trajectory, throw: bool, *, stacklevel: int = 3) -> Trajectory
         warnings.warn(seen.diagnosis, SimulationWarning, stacklevel=stacklevel)
     shares = seen.stats.audit
     if cautions(shares):  # seldom: which parts are meant takes milliseconds
-        said = cautions(shares, parts_with_a_range(seen.system, seen.y_reached))
+        said = cautions(shares, parts_with_a_range(seen.system, seen.y_reached), texts_for(seen.system))
         warnings.warn(said, OutOfRangeWarning, stacklevel=stacklevel)
     return run
 

@@ -16,7 +16,7 @@ from spherejax.foundations.errors import SceneError
 from spherejax.model.scene import Scene
 from spherejax.model.system import System
 from spherejax.motion.equations.quantities import quantity
-from spherejax.motion.integration.audit import CHECKS, FINDINGS, NOT_MADE, WARNINGS, cautions
+from spherejax.motion.integration.audit import CHECKS, NOT_MADE, WARNINGS, cautions, texts_for
 from spherejax.motion.integration.status import Status
 from spherejax.motion.results.impacts import peaks
 from spherejax.motion.results.trajectory import Trajectory
@@ -95,7 +95,7 @@ def _verdict(run: Trajectory) -> str:
 def cautions_of(run: Trajectory) -> list[str]:
     """What a run of any outcome is to be read with; first what its start has changed of the scene."""
     shares = np.asarray(run.stats.audit)
-    found = [*start_changes(run.system, run.ts, run.assembly), cautions(shares)]
+    found = [*start_changes(run.system, run.ts, run.assembly), cautions(shares, texts=texts_for(run.system))]
     if shares[CHECKS.index("energy")] == NOT_MADE:
         found.append("Energy was not audited: the method knows too coarsely what drivers, forces or bristles put in.")
     if run.undetermined_reactions:
@@ -179,11 +179,11 @@ def _largest(values) -> str:
 
 
 def _audit(run: Trajectory) -> PageTable:
-    rows = []
+    rows, texts = [], texts_for(run.system)
     for check, share in zip(CHECKS, np.asarray(run.stats.audit), strict=True):
         made, is_bad = share != NOT_MADE, share > 1
         said = ("beyond its range" if check in WARNINGS else "FAILED") if is_bad else "held" if made else "not made"
-        rows.append((WHAT_IS_AUDITED[check], f"{share:.2e}" if made else "-", FINDINGS[check] if is_bad else said))
+        rows.append((WHAT_IS_AUDITED[check], f"{share:.2e}" if made else "-", texts[check] if is_bad else said))
     return PageTable(("what was looked at, at every step", "worst, as a share of the limit", "found"), rows, "Audit")
 
 

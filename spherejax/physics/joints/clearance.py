@@ -126,6 +126,11 @@ class AbstractClearanceModel(AbstractSphericalModel):
         del motion, memory
         return None
 
+    @property
+    def beyond_film_range(self) -> str:
+        """What a `film_range_share` above 1 means, in words (static); empty without a film."""
+        return ""
+
     def requirements_of(self, *, is_bearing: bool) -> list[Requirement]:
         """Laws of a ball in a socket, or of a journal in a bearing; a stiffness that is given serves both."""
         law = self.conformity

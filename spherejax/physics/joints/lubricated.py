@@ -301,6 +301,11 @@ class Lubricated(AbstractClearanceModel):
         """How far out the ball is, as a share of what the film is for; None for any."""
         return self.film.range_share(self._film_motion(motion, memory), self._film_gap(memory))
 
+    @property
+    def beyond_film_range(self) -> str:
+        """Of the film, or of its oil that thickens."""
+        return self.film.beyond_range or ("" if self.thickening is None else self.thickening.beyond_range)
+
     def _film_share(self, weight: Scalar) -> Scalar:
         """Of the film's force: what contact leaves, or all of it where the film stores energy."""
         return jnp.ones(()) if self.film.stores_energy else 1 - weight

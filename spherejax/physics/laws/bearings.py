@@ -130,11 +130,30 @@ def _frame(vector: Vector3, axis: Vector3) -> tuple[Vector3, Vector3, Scalar]:
     return w, jnp.cross(axis, w), size
 
 
-LONGEST_SHORT, SHORTEST_LONG = 2.0, 2.0
-"""Lengths of bearings, in radii, beyond and below which it is said that Ocvirk's or Sommerfeld's bear too much."""
+LENGTHS = (0.5, 1.0, 2.0, 4.0, 8.0)
+"""Lengths of bearings in radii, for the factors below."""
+
+SHORT_FACTORS = ((1.03, 1.12, 1.42, 2.4, 5.5), (1.18, 1.65, 3.22, 8.6, 27.0))
+LONG_FACTORS = ((41.0, 11.0, 3.5, 1.47, 0.85), (10.0, 3.6, 1.75, 1.16, 0.93))
+"""Loads of Ocvirk's and Sommerfeld's steady bearings over those of Reynolds' equation on a fine grid, at eccentricity
+ratios of 0.3 and 0.8 (`tests/test_lined_bearing.py` has the grid)."""
+
+LONGEST_SHORT, SHORTEST_LONG = 1.0, 4.0
+"""Lengths of bearings, in radii, beyond and below which it is said how much too much Ocvirk's or Sommerfeld's bear: at
+these they err by 1.1 to 1.65 and by 1.2 to 1.5 times."""
 
 SLACK = 1.0 + 1e-9
 """Lengths that are meant to be at a bound are not beyond it by rounding."""
+
+
+def _too_much(radii: float, factors: tuple[tuple[float, ...], tuple[float, ...]]) -> str:
+    """By how much a bearing of a length bears too much, in words; between the lengths of the table by logarithms."""
+    ends = "at least " if not LENGTHS[0] <= radii <= LENGTHS[-1] else ""
+    inner, outer = (float(np.exp(np.interp(np.log(radii), np.log(LENGTHS), np.log(row)))) for row in factors)
+    return (
+        f"in one of {radii:.3g} radii, as here, it bears {ends}{inner:.2g} times what Reynolds' equation says at an "
+        f"eccentricity ratio of 0.3, and {ends}{outer:.2g} times at 0.8"
+    )
 
 
 class AbstractBearingFilm(AbstractFilm):
@@ -198,7 +217,7 @@ class AbstractBearingFilm(AbstractFilm):
 
 
 class ShortBearing(AbstractBearingFilm):
-    """The film of a short journal bearing (Ocvirk): oil flows along the axis. Good for L < R.
+    """The film of a short journal bearing (Ocvirk): oil flows along the axis. For L up to R.
 
     With `Guembel` pressure only, with `Sommerfeld` suction as well; see `short_half_load`, `short_full_load`.
 
@@ -207,8 +226,8 @@ class ShortBearing(AbstractBearingFilm):
 
     Limits: rigid, constant viscosity, c << R, ambient pressure at both ends. Beside a fine grid of Reynolds' equation
         it bears, at eccentricity ratios of 0.3, 0.5, 0.8, for L = R/2 1.03, 1.06, 1.18 times as much, for L = R 1.12,
-        1.20, 1.65 times, for L = 2 R 1.4, 1.7, 3.2 times; beyond 2 R a run warns (`StartWarning`). `LinedBearing` with
-        a hard liner serves any length up to 2 R.
+        1.20, 1.65 times, for L = 2 R 1.4, 1.7, 3.2 times; beyond R a run warns (`StartWarning`). `LinedBearing` with a
+        hard liner serves any length up to 4 R.
 
     Source: Ocvirk (1952), NACA TN 2808; any motion as in Booker (1965), J. Basic Eng. 87:537-546.
     """
@@ -216,14 +235,13 @@ class ShortBearing(AbstractBearingFilm):
     length: Annotated[Number, Unit("m")]
 
     def doubt(self, socket_radius: float) -> str:
-        """Of a bearing longer than its diameter."""
+        """Of a bearing longer than its radius."""
         if not is_concrete(self.length) or not self.length > LONGEST_SHORT * socket_radius * SLACK:
             return ""
         return (
-            f"film=ShortBearing is for bearings shorter than their radius, and bears too much in longer ones, 1.4 to 3 "
-            f"times for a length of the diameter; here {float(self.length / socket_radius):.3g} radii. Give "
-            "film=sj.laws.LinedBearing(length, liner) with a hard liner, or sj.laws.LongBearing(length) from four "
-            "radii on"
+            f"film=ShortBearing is for bearings not longer than their radius; "
+            f"{_too_much(float(self.length / socket_radius), SHORT_FACTORS)}. Give film=sj.laws.LinedBearing(length, "
+            "liner) with a hard liner, or sj.laws.LongBearing(length) from four radii on"
         )
 
     def _load(self, r, velocity, axis, gap):
@@ -238,7 +256,7 @@ class ShortBearing(AbstractBearingFilm):
 
 
 class LongBearing(AbstractBearingFilm):
-    """The film of a long journal bearing (Sommerfeld): oil flows round the journal. Good for L > 4 R.
+    """The film of a long journal bearing (Sommerfeld): oil flows round the journal. For L from 4 R on.
 
     With `Guembel` pressure only, with `Sommerfeld` suction as well; see `long_half_load`, `long_full_load`.
 
@@ -247,8 +265,8 @@ class LongBearing(AbstractBearingFilm):
 
     Limits: rigid, constant viscosity, c << R. Beside a fine grid of Reynolds' equation it bears, at eccentricity ratios
         of 0.3, 0.5, 0.8, for L = 2 R 3.5, 2.9, 1.75 times as much, for L = 4 R 1.5, 1.4, 1.2 times, for L = 8 R 0.85 to
-        0.93 times (its film ends where the gap is narrowest); below 2 R a run warns (`StartWarning`). `LinedBearing`
-        with a hard liner serves any length up to 2 R.
+        0.93 times (its film ends where the gap is narrowest); below 4 R a run warns (`StartWarning`). `LinedBearing`
+        with a hard liner serves any length up to 4 R.
 
     Source: Sommerfeld (1904), Z. Math. Phys. 50:97-155; any motion as in Booker (1965), J. Basic Eng. 87:537-546.
     """
@@ -256,14 +274,13 @@ class LongBearing(AbstractBearingFilm):
     length: Annotated[Number, Unit("m")]
 
     def doubt(self, socket_radius: float) -> str:
-        """Of a bearing shorter than its diameter."""
+        """Of a bearing shorter than four radii."""
         if not is_concrete(self.length) or not self.length * SLACK < SHORTEST_LONG * socket_radius:
             return ""
         return (
-            f"film=LongBearing is for bearings longer than four radii, and bears too much in shorter ones, 1.8 to 3.5 "
-            f"times for a length of the diameter; here {float(self.length / socket_radius):.3g} radii. Give "
-            "film=sj.laws.LinedBearing(length, liner) with a hard liner, or sj.laws.ShortBearing(length) below one "
-            "radius"
+            f"film=LongBearing is for bearings of four radii or more; "
+            f"{_too_much(float(self.length / socket_radius), LONG_FACTORS)}. Give film=sj.laws.LinedBearing(length, "
+            "liner) with a hard liner, or sj.laws.ShortBearing(length) up to one radius"
         )
 
     def _load(self, r, velocity, axis, gap):

@@ -94,10 +94,12 @@ class AbstractFilm(AbstractLaw):
     Attributes:
         is_of_bearing: whether it is that of a journal in a bearing, and not of a ball in a socket.
         thickens: whether it knows oil that thickens under pressure.
+        beyond_range: what its own `range_share` above 1 means, in words; empty where that is of the oil alone.
     """
 
     is_of_bearing: ClassVar[bool] = False
     thickens: ClassVar[bool] = False
+    beyond_range: ClassVar[str] = ""
 
     @property
     def memory(self) -> tuple[MemoryEntry, ...]:

@@ -9,7 +9,7 @@ So the closed forms of `full_film` and `bearings` are of q, and exact; its edge 
 what the thicker oil brakes beyond the thin one, is integrated over points of the film.
 """
 
-from typing import Annotated, NamedTuple
+from typing import Annotated, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -70,6 +70,11 @@ class BarusThickening(AbstractLaw):
 
     Source: Barus (1893), Am. J. Sci. 45:87-96; the reduced pressure is Grubin's.
     """
+
+    beyond_range: ClassVar[str] = (
+        "oil that thickens under pressure came to alpha q > 0.7, near 1 where BarusThickening has no finite pressure "
+        "(take a smaller coefficient alpha, or a load that such oil can bear)"
+    )
 
     coefficient: Annotated[Number, Unit("1/Pa")]
 
