@@ -2,7 +2,7 @@ from .foundations.checks import Requirement
 from .physics.laws.bearings import LongBearing, ShortBearing
 from .physics.laws.conformity import AbstractConformity, SphericalProfile, WinklerLiner
 from .physics.laws.cylinders import EsduCylinder, JohnsonCylinder
-from .physics.laws.depth import AbstractDepth, FourierDepth, HarmonicDepth
+from .physics.laws.depth import AbstractDepth, FourierDepth, HarmonicDepth, LegendreFourierDepth
 from .physics.laws.elastomer import AbstractElastomer, RadialElastomer, VectorElastomer
 from .physics.laws.elastomer_axes import CrossElastomer, HingeElastomer
 from .physics.laws.elastomer_curve import CurveElastomer
@@ -95,6 +95,7 @@ __all__ = [
     "HuntCrossleyDissipation",
     "JohnsonCylinder",
     "LankaraniNikravesh",
+    "LegendreFourierDepth",
     "LinedBearing",
     "LongBearing",
     "LuGre",

@@ -3,13 +3,23 @@
 A cylinder that is tilted by a small angle in a cylinder touches it at the ends first, and there, in the plane of a rim,
 both are circles again, up to the square of the angle: each rim is the contact of two circles across the bearing's axis,
 with modes, landings and memory of its own.
+
+A bearing that presses, or is worn, differently along its axis has such a contact in further planes between the rims.
+The planes are the nodes of Lobatto's rule, and each stands for its weight's share of the bearing's length L:
+
+    F = L int q ds  ->  sum_i w_i L q(s_i),    s = 2 z/L from -1 to 1,    s_1 = -1, s_n = 1
+
+which is exact for a load q per length that is a polynomial of degree 2 n - 3 along the axis.
 """
 
 from typing import Annotated
 
 import equinox as eqx
+import numpy as np
+from jaxtyping import Float
 
 from spherejax.foundations.checks import Requirement, enforce
+from spherejax.foundations.errors import SceneError
 from spherejax.foundations.legal import positive
 from spherejax.foundations.types import Named, Number, Numeric, Triple, Unit
 from spherejax.physics.bodies import numbers
@@ -19,6 +29,10 @@ from spherejax.physics.joints.body_axes import direction_requirement, unit
 from spherejax.physics.joints.clearance import AbstractClearanceModel
 from spherejax.physics.joints.ideal import Ideal
 from spherejax.physics.laws.cylinders import AbstractCylinder
+from spherejax.physics.laws.depth import LegendreFourierDepth
+
+MOST_PLANES = 9
+"""Each is a joint with an onset of its own; nine resolve a load along the axis of degree 15."""
 
 
 class Rim(AbstractAxialJoint):
@@ -92,18 +106,30 @@ def _of_rims(model: AbstractSphericalModel) -> list[Requirement]:
     ]
 
 
-def _half(model: AbstractSphericalModel) -> AbstractSphericalModel:
-    """The model of half a bearing: a cylinder's length, or a given stiffness, halved."""
+def lobatto(planes: int) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """Places from -1 to 1, both ends among them, and weights with the sum 1, of Lobatto's rule.
+
+    Source: Abramowitz and Stegun (1964), 25.4.32: the zeros of P'_(n-1), weights 2/(n (n - 1) P_(n-1)^2), here halved.
+    """
+    last = np.polynomial.Legendre.basis(planes - 1)
+    inner = np.sort(np.real(last.deriv().roots())) if planes > 2 else np.zeros(0)
+    inner = 0.5 * (inner - inner[::-1])  # symmetric to rounding
+    places = np.concatenate([[-1.0], inner, [1.0]])
+    return places, 1.0 / (planes * (planes - 1) * last(places) ** 2)
+
+
+def _share(model: AbstractSphericalModel, share: float) -> AbstractSphericalModel:
+    """The model of a share of a bearing: of a cylinder's length, or of a given stiffness."""
     if isinstance(model, AbstractClearanceModel):
         if isinstance(model.conformity, AbstractCylinder):
-            return eqx.tree_at(lambda m: m.conformity.length, model, 0.5 * model.conformity.length)
+            return eqx.tree_at(lambda m: m.conformity.length, model, share * model.conformity.length)
         if model.conformity is not None:
             raise TypeError(
                 f"half of {type(model.conformity).__name__} is not known here: give each sj.joints.Rim the "
                 f"contact of its half"
             )
         if model.normal.stiffness is not None:
-            return eqx.tree_at(lambda m: m.normal.stiffness, model, 0.5 * model.normal.stiffness)
+            return eqx.tree_at(lambda m: m.normal.stiffness, model, share * model.normal.stiffness)
     return model
 
 
@@ -116,14 +142,17 @@ def tilting_journal(
     *,
     length: Number,
     starts_concentric: bool = True,
+    planes: int = 2,
+    socket_depth: LegendreFourierDepth | None = None,
 ) -> dict[str, Rim]:
-    """A journal with clearance that tilts in its bearing, as two rims: joints of a scene.
+    """A journal with clearance that tilts in its bearing, as two rims or more planes: joints of a scene.
 
         joints = {"crank": sj.Revolute(...), **sj.joints.tilting_journal("pin", bodies, at, along, model, length=0.02)}
 
     The rims are `NAME_1` and `NAME_2`, half a length before and behind the point along the axis; the first holds the
     journal along the axis. Each has half of the contact: that of a cylinder of half the length, or half of a given
-    stiffness, so that a journal that stays parallel moves as in `Revolute`.
+    stiffness, so that a journal that stays parallel moves as in `Revolute`. With more planes, `NAME_1` to `NAME_n`, the
+    contact is shared out along the axis by Lobatto's rule: with 3 as 1/6, 2/3, 1/6.
 
     Args:
         name: of the joint.
@@ -133,15 +162,79 @@ def tilting_journal(
         model: `Ideal()`, or `Dry(...)` as for `Revolute`, for the whole bearing.
         length: of the bearing [m].
         starts_concentric: see `Rim`.
+        planes: how many planes of contact there are along the axis, the two rims among them, up to 9; two of an ideal
+            joint, which more would hold again.
+        socket_depth: how deep the bearing's surface lies below its cylinder, by angle and place along the axis: worn
+            away, or not straight. Each plane has the depth that is there.
 
     Returns:
         The joints by name.
+
+    Raises:
+        SceneError: for a length, a direction, a number of planes or a depth that cannot be, with the remedy.
+        TypeError: for a contact whose share is not known.
+
+    Limits: two rims have a journal that is pressed all along its bearing tilt three times as stiffly as line contact
+    does; from three planes on a load that is linear along the axis is exact. A journal that touches along a part of a
+    plane's share touches along all of it or not at all.
     """
-    enforce(f"journal {name!r}", [positive("length", length, "m"), direction_requirement(numbers(axis))])
-    model = _half(Ideal() if model is None else model)
+    places, shares = _checked_planes(name, length, axis, model, planes, socket_depth)
+    model = Ideal() if model is None else model
     point, axis = numbers(point), unit(numbers(axis))
-    places = (point - 0.5 * length * axis, point + 0.5 * length * axis)
     return {
-        f"{name}_{i + 1}": Rim(bodies, place, axis, model, starts_concentric, is_thrust=i == 0)
-        for i, place in enumerate(places)
+        f"{name}_{i + 1}": Rim(
+            bodies,
+            point + 0.5 * place * length * axis,
+            axis,
+            _with_depth(_share(model, share), socket_depth, place),
+            starts_concentric,
+            is_thrust=i == 0,
+        )
+        for i, (place, share) in enumerate(zip(places.tolist(), shares.tolist(), strict=True))
     }
+
+
+def _with_depth(model, depth: LegendreFourierDepth | None, place: float):
+    if depth is None:
+        return model
+    return eqx.tree_at(lambda m: m.socket_depth, model, depth.at(place), is_leaf=lambda leaf: leaf is None)
+
+
+def _checked_planes(name, length, axis, model, planes, depth):
+    """Places and shares of the planes, once what the whole bearing is made of is legal."""
+    is_whole = isinstance(planes, int | np.integer) and not isinstance(planes, bool)
+    if not (is_whole and 2 <= planes <= MOST_PLANES):
+        raise SceneError(
+            f"journal {name!r}: planes = {planes!r} must be a whole number from 2, the two rims, to {MOST_PLANES}"
+        )
+    if planes > 2 and (model is None or model.is_ideal):
+        raise SceneError(
+            f"journal {name!r}: planes = {planes} are of a journal with clearance; an ideal one is held by its two "
+            "rims. Give Dry(...), or leave planes= out"
+        )
+    required = [positive("length", length, "m"), direction_requirement(numbers(axis))]
+    if depth is not None:
+        _depth_serves(name, model, depth)
+        required += [r._replace(field=f"socket_depth.{r.field}") for r in depth.requirements()]
+    enforce(f"journal {name!r}", required)
+    return lobatto(int(planes))
+
+
+def _depth_serves(name: str, model, depth) -> None:
+    if not isinstance(depth, LegendreFourierDepth):
+        raise SceneError(
+            f"journal {name!r}: socket_depth is {type(depth).__name__}, and must be a depth by angle and place along "
+            "the axis. Give sj.laws.LegendreFourierDepth(coefficients); one that is the same all along belongs to the "
+            "model, Dry(..., socket_depth=sj.laws.FourierDepth(coefficients))"
+        )
+    if not hasattr(model, "socket_depth"):
+        raise SceneError(
+            f"journal {name!r}: socket_depth is of surfaces that touch, and its model is "
+            f"{'Ideal' if model is None else type(model).__name__}. Give Dry(...): a film in a bearing that is not "
+            "straight is not modelled"
+        )
+    if model.socket_depth is not None:
+        raise SceneError(
+            f"journal {name!r}: its model has a socket_depth, too; give the depth once, as the sum: the first row of "
+            "LegendreFourierDepth is the same all along the axis"
+        )

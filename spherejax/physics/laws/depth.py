@@ -6,7 +6,7 @@ ball may then go c + h_i + h_j from the socket's center:
     delta = |e| - c - h_i(A_i^T n) - h_j(A_j^T n)
 
 with the axes A of the two bodies. A journal in its bearing is the same across the bearing's axis, with axes A of which
-z is along it.
+z is along it; a bearing whose depth changes along its axis is looked at in planes across it.
 """
 
 import abc
@@ -170,7 +170,7 @@ class FourierDepth(AbstractDepth):
         coefficients: a_0, a_1, b_1, a_2, b_2, ..., shape (2 M + 1,) [m].
 
     Limits: a surface is resolved down to about 180/M degrees, and a narrower pocket rings around its edges. What is
-    worn more at one end of the bearing than at the other is not modelled.
+    worn more at one end of the bearing than at the other is a `LegendreFourierDepth`.
 
     Source: cos m phi and sin m phi are the parts of (x + i y)^m, polynomials in the direction, so that everything is
     finite and smooth in the middle of the bearing, too.
@@ -242,6 +242,81 @@ class FourierDepth(AbstractDepth):
                 "be finite",
                 "Give depths in meters, e.g. coefficients=[1e-5, 0.0, 0.0].",
             ),
+        ]
+
+
+class LegendreFourierDepth(eqx.Module):
+    """A smooth depth of a bearing by the angle and by the place along its axis: worn more at one end than at the other.
+
+        h(phi, s) = sum_k P_k(s) (a_k0 + sum_m (a_km cos m phi + b_km sin m phi)),    s = 2 z/L,  k = 0 ... K
+
+    with Legendre's polynomials P_k = 1, s, (3 s^2 - 1)/2, ... and the angle phi of `FourierDepth`. The first row is the
+    mean along the axis, so a_00 times the bearing's area is the volume; the second row tilts the surface.
+
+    It is the `socket_depth` of `sj.joints.tilting_journal`, whose planes of contact have the depths that are there.
+
+    Attributes:
+        coefficients: by row a_k0, a_k1, b_k1, a_k2, b_k2, ..., shape (K + 1, 2 M + 1) [m].
+
+    Limits: n planes see no more than n rows. A parallel journal (`Revolute`) and a film have no such depth.
+
+    Source: Legendre's polynomials by their recurrence, Abramowitz and Stegun (1964), 8.5.3.
+    """
+
+    coefficients: Numeric
+
+    def __init__(self, coefficients: Annotated[Numeric, Unit("m")]):
+        self.coefficients = numbers(coefficients)
+
+    @property
+    def rows(self) -> int:
+        """K + 1."""
+        return np.shape(self.coefficients)[0]
+
+    def at(self, place: float) -> FourierDepth:
+        """The depth around the axis at a place along it, -1 at the first end and 1 at the second."""
+        polynomials = np.polynomial.legendre.legvander(np.asarray([place]), self.rows - 1)[0]
+        a = self.coefficients
+        summed = (np.dot if isinstance(a, np.ndarray) else jnp.dot)(polynomials, a)
+        return FourierDepth(summed)
+
+    @classmethod
+    def through(cls, places: Float[np.ndarray, " n"], depths: list[FourierDepth]) -> "LegendreFourierDepth":
+        """The depth of n rows that is one of `depths` at each of n places along the axis.
+
+        Args:
+            places: between -1 and 1, all different, shape (n,).
+            depths: around the axis there; where their orders differ, the higher waves of the others are zero.
+        """
+        widest = max(np.size(depth.coefficients) for depth in depths)
+        rows = [jnp.pad(jnp.asarray(d.coefficients), (0, widest - np.size(d.coefficients))) for d in depths]
+        polynomials = np.polynomial.legendre.legvander(np.asarray(places), len(depths) - 1)
+        return cls(jnp.linalg.solve(jnp.asarray(polynomials), jnp.stack(rows)))
+
+    def requirements(self) -> list[Requirement]:
+        """A table of finite numbers, each row of which is a Fourier series."""
+        shape = np.shape(self.coefficients)
+        is_table = len(shape) == 2 and shape[0] > 0
+        table = Requirement(
+            "coefficients",
+            f"of shape {shape}",
+            is_table,
+            "be a table with a row for each polynomial along the axis",
+            "Give e.g. coefficients=[[1e-5, 0.0, 0.0], [4e-6, 0.0, 0.0]]: the mean, and how it grows along the axis.",
+        )
+        if not is_table:
+            return [table]
+        return [table, *FourierDepth(jnp.ravel(jnp.asarray(self.coefficients)[0])).requirements()[:2], *self._finite()]
+
+    def _finite(self) -> list[Requirement]:
+        return [
+            Requirement(
+                "coefficients",
+                self.coefficients,
+                abs(numeric(self.coefficients)) < np.inf,
+                "be finite",
+                "Give depths in meters, e.g. coefficients=[[1e-5, 0.0, 0.0], [4e-6, 0.0, 0.0]].",
+            )
         ]
 
 
