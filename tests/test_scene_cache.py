@@ -36,8 +36,9 @@ def counted(monkeypatch):
 
     original = preparation.compile_scene
     monkeypatch.setattr(preparation, "compile_scene", compile_scene)
-    for function in (prepared, simulating._call):
+    for function in (preparation.prepared_from, simulating._call):
         monkeypatch.setattr(function, "table", LruCache(64))
+    monkeypatch.setattr(preparation, "_lasts", LruCache(64))
     return calls
 
 
@@ -191,9 +192,9 @@ def test_parts_that_are_equal_are_looked_at_once(monkeypatch):
     monkeypatch.setattr(sj.Spherical, "requirements", lambda joint: looked.append(joint) or original[0](joint))
     monkeypatch.setattr(sj.Spherical, "placed", lambda joint, *of: placed.append(joint) or original[1](joint, *of))
 
-    def compiled(stiffness, mass=0.12):
+    def compiled(stiffness, **others):
         scene = sj.gallery.four_bar(sj.Bushing(stiffness, 1e-4))
-        scene.bodies["crank"] = replace(scene.bodies["crank"], mass=mass)
+        scene.bodies["crank"] = replace(scene.bodies["crank"], **others)
         return compile_scene(scene).system
 
     first = compiled(1e6)
@@ -206,6 +207,8 @@ def test_parts_that_are_equal_are_looked_at_once(monkeypatch):
     assert (len(looked), len(placed)) == (n + 1, n + 1)
     assert value_key(again) == value_key(first)
     assert float(compiled(1e6, mass=0.5).bodies["crank"].mass) == 0.5
+    assert len(placed) == n + 1  # between bodies that are drawn as before
+    compiled(1e6, position=(0.0, 0.0, 1e-6))
     assert len(placed) == 2 * n + 1  # between other bodies
     assert len(looked) == n + 1
 
@@ -290,11 +293,15 @@ def test_a_driven_start_depends_on_its_time(counted):
 
 
 def test_only_so_many_are_kept(monkeypatch, counted):
-    monkeypatch.setattr(prepared.table, "size", 2)
-    for mass in (1.0, 2.0, 3.0, 1.0, 3.0):
-        prepared(pendulum(mass), False, None)
+    table = preparation.prepared_from.table
+    monkeypatch.setattr(table, "size", 2)
+    # Other places of a body: of other masses a scene is renewed from the one before.
+    for height in (1.0, 2.0, 3.0, 1.0, 3.0):
+        scene = pendulum()
+        scene.ground_points["pivot"] = np.array([0.0, 0.0, height])
+        prepared(scene, False, None)
     assert len(counted) == 4
-    assert len(prepared.table) == 2
+    assert len(table) == 2
 
 
 def test_threads_share_them(counted):

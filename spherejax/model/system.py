@@ -19,7 +19,7 @@ from spherejax.foundations.linear_algebra import REDUNDANT_PIVOT, SINGULAR_PIVOT
 from spherejax.foundations.types import Numeric
 from spherejax.model.drift import AbstractDriftControl
 from spherejax.model.scene import N_PARTS, Scene, check_scene
-from spherejax.physics.bodies import Body
+from spherejax.physics.bodies import Body, numbers
 from spherejax.physics.forces.base import AbstractForce
 from spherejax.physics.forces.remembering import (
     AbstractForceWithMemory,
@@ -32,6 +32,7 @@ from spherejax.physics.joints.joint import AbstractPlacedJoint
 from spherejax.physics.joints.spherical import PlacedSpherical
 from spherejax.physics.laws.normal import AbstractNormalLaw, by_factor
 from spherejax.physics.memory import MemoryEntry
+from spherejax.physics.orientations import as_quaternion
 from spherejax.physics.state import Layout
 from spherejax.program_cache.keys import LruCache, lru_get, own_arrays, value_key
 from spherejax.program_cache.user_code import user_code_fingerprint
@@ -172,7 +173,7 @@ class System(eqx.Module):
     @property
     def contact_joints(self) -> tuple[str, ...]:
         """Names of the joints whose contact onsets must be located."""
-        return tuple(name for name in self.force_joints if self.spherical(name).model.detects_onsets)
+        return tuple(name for name in self.force_joints if called(self, "spherical", name).model.detects_onsets)
 
     @property
     def touching_forces(self) -> tuple[str, ...]:
@@ -231,16 +232,14 @@ def compile_scene(scene: Scene, *, track_work: bool = False) -> CompiledScene:
     conditions = check_scene(scene)
     # JAX sorts the keys of a dict when it takes it apart: a system is sorted from the start, so that the order of the
     # state is the same inside and outside a compiled program.
-    bodies = {name: _known("body", scene.bodies[name], (), _with_array_fields) for name in sorted(scene.bodies)}
-    place = _placing(scene)
+    bodies = {name: _known("body", scene.bodies[name], (), moving_body) for name in sorted(scene.bodies)}
+    place = placing(scene)
     joints = {name: place("joint", name, scene.joints[name]) for name in sorted(scene.joints)}
     forces = {name: place("force", name, scene.forces[name]) for name in sorted(scene.forces)}
     slots = _slots({name: joint.memory for name, joint in joints.items()}, 0)
     force_slots = _slots({name: memory_entries(force) for name, force in forces.items()}, _end_of(slots))
-    refines = _masses_are_far_apart(bodies)
     # A driver that pushes a mechanism beyond its reach must stop the run, not be left out.
-    is_driven = any(joint.is_driven for joint in joints.values())
-    smallest = REDUNDANT_PIVOT if is_driven else _smallest_pivot(bodies)
+    refines, smallest = for_masses(bodies, any(joint.is_driven for joint in joints.values()))
     parts = (*joints.values(), *forces.values())
     gains = not all(part.never_adds_energy for part in parts)
     # The whole work of a part that may add energy is integrated beside the state, what it dissipates included.
@@ -279,23 +278,65 @@ def _end_of(slots: tuple[MemorySlot, ...]) -> int:
     return slots[-1].entries.stop if slots else 0
 
 
-def _placing(scene: Scene) -> Callable[[str, str, Any], Any]:
+class BodyGeometry(NamedTuple):
+    """A body as the parts of this package are placed by it: without its mass, for to place them anew whenever a mass
+    is another one takes longer than all else that is made of that number.
+
+    Attributes:
+        position: world axes [m].
+        quaternion: body axes to world axes.
+        points: by name, body axes [m].
+    """
+
+    position: Numeric
+    quaternion: Numeric
+    points: Mapping[str, Numeric]
+
+    @classmethod
+    def of(cls, body: Body) -> "BodyGeometry":
+        """A body where joints and forces are described; as `Body.in_reference`."""
+        position, quaternion = body.reference_position, body.reference_quaternion
+        return cls(
+            numbers(body.position if position is None else position),
+            numbers(as_quaternion(body.quaternion if quaternion is None else quaternion)),
+            {name: numbers(place) for name, place in body.points.items()},
+        )
+
+
+@lru_cache(maxsize=N_PARTS)
+def is_own(structure: Any) -> bool:
+    """Whether a part, by its tree structure, is made of classes of this package alone, and of containers."""
+    node = structure.node_data()
+    if node is None:  # a number
+        return True
+    kind = node[0]
+    own = kind in (dict, list, tuple, type(None)) or kind.__module__.partition(".")[0] == __name__.partition(".")[0]
+    return own and all(map(is_own, structure.children()))
+
+
+def placing(scene: Scene) -> Callable[[str, str, Any], Any]:
     """A function that places joints and force elements between the bodies of a scene.
 
-    Those that were placed before, between equal bodies, are not placed again: who changes one number of one joint and
-    runs the scene anew need not wait for all the others.
+    Those that were placed before, between bodies as they are drawn, are not placed again: who changes one number of one
+    joint, or a mass, and runs the scene anew need not wait for all the others. Parts of a user's own may look at all
+    that there is to a body.
     """
-    around = value_key((scene.bodies, scene.ground_points))
-    drawn = cache(lambda: {name: _known("drawn", each, (), _in_reference) for name, each in scene.bodies.items()})
     find = partial(called, scene, "find")
+    drawn = {name: BodyGeometry.of(body) for name, body in scene.bodies.items()}
+    are_own = all(type(body) is Body for body in scene.bodies.values())
+    around = cache(lambda: value_key((drawn, scene.ground_points)))
+    around_all = cache(lambda: value_key((scene.bodies, scene.ground_points)))
+    whole = cache(lambda: {name: _known("drawn", each, (), _in_reference) for name, each in scene.bodies.items()})
 
     def place(kind: str, name: str, part: Any) -> Any:
+        sees_all = not (are_own and is_own(jax.tree.structure(part)))
+
         def placed(part: Any) -> Any:
-            made = called(part, "placed", drawn(), find)
-            _check_leaves(f"{kind} {name!r}", made)
+            made = called(part, "placed", whole() if sees_all else drawn, find)
+            check_leaves(f"{kind} {name!r}", made)
             return made
 
-        return _known(kind, part, around, placed)
+        return _known(kind, part, around_all() if sees_all else around(), placed)
 
     return place
 
@@ -321,7 +362,7 @@ _parts = LruCache(N_PARTS)
 """What was made of parts of scenes."""
 
 
-def _check_leaves(place: str, part: Any) -> None:
+def check_leaves(place: str, part: Any) -> None:
     """Parts that a user has written hold numbers; names and functions are structure."""
     for leaf in jax.tree.leaves(part):
         if isinstance(leaf, str) or callable(leaf):
@@ -335,15 +376,21 @@ LARGE_MASS_RATIO = 1e4
 """From this ratio of masses on, rounding in the constraint forces disturbs the light body; of moments likewise."""
 
 
-def _masses_are_far_apart(bodies: dict[str, Body]) -> bool:
+def _masses_are_far_apart(bodies: Mapping[str, Body]) -> bool:
     """Whether masses differ so much, or may, being traced."""
     return _are_far_apart([body.mass for body in bodies.values()])
 
 
-def _smallest_pivot(bodies: dict[str, Body]) -> float:
+def _smallest_pivot(bodies: Mapping[str, Body]) -> float:
     """The bound of a singular configuration, where no difference of masses or moments makes pivots as small."""
     alike = not _masses_are_far_apart(bodies) and not _are_far_apart([_moments(body) for body in bodies.values()])
     return SINGULAR_PIVOT if alike else REDUNDANT_PIVOT
+
+
+def for_masses(bodies: Mapping[str, Body], is_driven: bool) -> tuple[bool, float]:
+    """Whether masses and moments ask for two passes of the constraint equations, and from where on these count as
+    dependent; see `System`."""
+    return _masses_are_far_apart(bodies), REDUNDANT_PIVOT if is_driven else _smallest_pivot(bodies)
 
 
 def _moments(body: Body) -> Numeric:
@@ -356,7 +403,8 @@ def _are_far_apart(values: list) -> bool:
     return bool(np.max(values) > LARGE_MASS_RATIO * np.min(values))
 
 
-def _with_array_fields(body: Body) -> Body:
+def moving_body(body: Body) -> Body:
+    """A body as the equations of motion see it."""
     # Points are resolved into the joints; leaving them here would make unused numbers part of the program's shape.
     return Body(body.mass, body.inertia, body.position, body.quaternion, body.velocity, body.angular_velocity)
 
@@ -407,6 +455,11 @@ def flatten_system(system: System):
     """
 
     leaves, tree = jax.tree.flatten(system)
+    return structure_and_numbers(leaves, tree)
+
+
+def structure_and_numbers(leaves: list, tree: Any):
+    """`flatten_system` of a system that is taken apart already."""
     shapes = tuple(np.shape(leaf) for leaf in leaves)
     # What is concrete is joined by NumPy: to JAX each shape would be a program to compile.
     parts: list[Any] = []
@@ -450,8 +503,8 @@ def flatten_by_factor(system: System):
     return flatten_system(with_laws_by_factor(system))
 
 
-def split(system: System) -> tuple[Numeric, tuple[int, ...]]:
-    """The numbers that are known now, with zeros elsewhere, and the indices of the others."""
+def split(system: System | list) -> tuple[Numeric, tuple[int, ...]]:
+    """The numbers that are known now, with zeros elsewhere, and the indices of others; of a system or its leaves."""
     known, unknown, start = [], [], 0
     for leaf in jax.tree.leaves(system):
         size = int(np.prod(np.shape(leaf)))

@@ -55,17 +55,43 @@ class CacheKey:
 
 def value_key(tree: Any) -> CacheKey | None:
     """The key of a pytree by the values in it; None where a value is traced, or cannot be compared."""
-    leaves, structure = jax.tree.flatten(tree)
-    parts = []
-    for leaf in leaves:
-        part = _plain_key(leaf) or _array_key(leaf)
-        if part is None:
-            return None
-        parts.append(part)
-    try:
-        return CacheKey(structure, user_code_fingerprint(structure), tuple(parts))
-    except TypeError:  # something static is not hashable
-        return None
+    return KeyedTree(tree).key
+
+
+class KeyedTree:
+    """A pytree, taken apart once for all that asks what is in it.
+
+    Attributes:
+        tree: the pytree.
+        leaves, structure: as JAX takes it apart.
+        values: of each leaf its type and bits; None of one that is traced, or cannot be compared.
+        user_code: the fingerprint of user code in it; empty without.
+        key: of all of it, as of `value_key`.
+    """
+
+    __slots__ = ("key", "leaves", "structure", "tree", "user_code", "values")
+
+    def __init__(self, tree: Any):
+        self.tree = tree
+        self.leaves, self.structure = jax.tree.flatten(tree)
+        values = []
+        for leaf in self.leaves:
+            kind = type(leaf)
+            # What scenes are made of, without a question.
+            if kind is np.float64:
+                values.append((kind, "<f8", (), leaf.tobytes()))
+            elif kind is np.ndarray and not leaf.dtype.hasobject:
+                values.append((kind, leaf.dtype.str, leaf.shape, leaf.tobytes()))
+            else:
+                values.append(_plain_key(leaf) or _array_key(leaf))
+        self.values = tuple(values)
+        self.user_code = self.key = None
+        try:
+            self.user_code = user_code_fingerprint(self.structure)
+            if None not in self.values:
+                self.key = CacheKey(self.structure, self.user_code, self.values)
+        except TypeError:  # something static is not hashable
+            pass
 
 
 def _array_key(leaf: Any) -> tuple | None:
@@ -187,6 +213,20 @@ class LruCache:
         for value in evicted:
             self._evicted(value)
         return made
+
+    def find(self, key: Hashable) -> Any:
+        """The entry of a key; None where there is none."""
+        with self._lock:
+            if key not in self._entries:
+                return None
+            self._entries.move_to_end(key)
+            return self._entries[key]
+
+    def put(self, key: Hashable, value: Any) -> None:
+        """Make something the entry of a key, in place of what was."""
+        with self._lock:
+            self._entries.pop(key, None)
+        self.get(key, lambda: value)
 
     def clear(self) -> None:
         """Evict all entries."""

@@ -7,16 +7,26 @@ numbers, or is asked for within a trace, is made each time.
 """
 
 from collections.abc import Hashable
+from functools import cached_property
 from typing import Any
 
 import diffrax
 import jax
 
 from spherejax.foundations.behind_tracers import known_behind
-from spherejax.foundations.checks import is_concrete
+from spherejax.foundations.checks import is_concrete, is_tracing
 from spherejax.foundations.types import Numeric
+from spherejax.model.renewal import Compilation, Taken
 from spherejax.model.scene import Scene
-from spherejax.model.system import CompiledScene, System, compile_scene, flatten_system, split, with_laws_by_factor
+from spherejax.model.system import (
+    CompiledScene,
+    System,
+    compile_scene,
+    example_of,
+    split,
+    structure_and_numbers,
+    with_laws_by_factor,
+)
 from spherejax.motion.equations.programs import path_of
 from spherejax.motion.solvers.automatic import SolverChoice, choose_solver
 from spherejax.motion.start.doubts import doubts_of
@@ -24,7 +34,7 @@ from spherejax.motion.start.jumps import jump_conditions
 from spherejax.motion.start.start_now import KnownStart, known_start
 from spherejax.motion.start.tolerances import Tolerances, component_tolerances, controller_for
 from spherejax.program_cache import memoized
-from spherejax.program_cache.keys import own, own_arrays, value_key
+from spherejax.program_cache.keys import KeyedTree, LruCache, own, value_key
 
 N_SCENES = 64
 """Prepared scenes that are kept; the least recently used one is evicted."""
@@ -49,18 +59,28 @@ class PreparedScene:
         is_explicit_only: whether the method must be an explicit one.
     """
 
-    def __init__(self, compiled: CompiledScene, scalar: bool | None, doubts: tuple[str, ...] = ()):
-        self._system = own_arrays(compiled.system)
-        self._leaves, self._tree = jax.tree.flatten(self._system)
-        self.seen = with_laws_by_factor(self._system)
-        self.structure, self.theta = flatten_system(self.seen)
+    def __init__(self, system: Taken, seen: Taken, scalar: bool | None, conditions: list, doubts: tuple[str, ...] = ()):
+        self._taken, self.taken = system, seen
+        self.structure, self.theta = structure_and_numbers(*seen)
         self.path = path_of(self.structure, scalar)
-        self.known, self.unknown = (self.theta, ()) if is_concrete(self.theta) else split(self.seen)
-        self.conditions = compiled.conditions
-        self.is_driven = self._system.is_driven
+        self.known, self.unknown = (self.theta, ()) if is_concrete(self.theta) else split(seen.leaves)
+        self.conditions = conditions
+        self.is_driven = example_of(self.structure).is_driven
         # On the array path the linear systems of a stiff method are dense.
         self.is_explicit_only = self.path.scalar is False and scalar is None
         self.doubts = doubts
+
+    @classmethod
+    def of(cls, compiled: CompiledScene, scalar: bool | None, doubts: tuple[str, ...] = ()) -> "PreparedScene":
+        """A scene that was compiled from the start."""
+        system = Taken.apart(compiled.system)
+        seen = Taken(*jax.tree.flatten(with_laws_by_factor(system.whole())))
+        return cls(system, seen, scalar, compiled.conditions, doubts)
+
+    @cached_property
+    def seen(self) -> System:
+        """The system with laws by their factors."""
+        return self.taken.whole()
 
     def system(self) -> System:
         """What the scene calls for; the caller's own, to write into."""
@@ -68,11 +88,15 @@ class PreparedScene:
 
     def leaves(self) -> list:
         """Those of the system."""
-        return list(map(own, self._leaves))
+        return list(map(own, self._taken.leaves))
 
     def system_of(self, leaves: list) -> System:
         """The system of its leaves."""
-        return jax.tree.unflatten(self._tree, leaves)
+        return jax.tree.unflatten(self._taken.tree, leaves)
+
+    def compilation(self, reading: KeyedTree) -> Compilation | None:
+        """That from which other scenes can be renewed, of the scene that was read."""
+        return Compilation.of(reading, self._taken, self.taken)
 
 
 def _by_scene(scene: PreparedScene, *numbers: Any) -> Hashable | None:
@@ -86,21 +110,54 @@ def _by_scene_and_time(scene: PreparedScene, ts: Numeric) -> Hashable | None:
     return _by_scene(scene, ts) if scene.is_driven else _by_scene(scene)
 
 
-@memoized(N_SCENES)
 def prepared(scene: Scene, track_work: bool, scalar: bool | None) -> PreparedScene:
     """A scene, checked and split into structure and numbers.
 
     Raises:
         SceneError: for a scene that cannot be simulated.
     """
-    compiled = compile_scene(scene, track_work=track_work)
-    return PreparedScene(compiled, scalar, doubts_of(scene, compiled.system))
+    return prepared_from(KeyedTree(scene), track_work, scalar)
+
+
+def _by_reading(scene: KeyedTree, *how: Any) -> Hashable | None:
+    """The key of a scene that was read."""
+    return None if scene.key is None else (scene.key, how)
+
+
+_lasts = LruCache(N_SCENES)
+"""Of each structure of a scene the one that was prepared last: what it was compiled to, and the prepared scene."""
+
+
+@memoized(N_SCENES, _by_reading)
+def prepared_from(scene: KeyedTree, track_work: bool, scalar: bool | None) -> PreparedScene:
+    """`prepared` of a scene that was read already: made from the last one of the same structure where that can be, else
+    from the start."""
+    # User code may do anything with the numbers of a scene.
+    is_renewable = scene.user_code == "" and isinstance(scene.tree, Scene)
+    key = (scene.structure, track_work, scalar) if is_renewable else None
+    last = None if key is None else _lasts.find(key)
+    if last is not None:
+        compilation, before = last
+        renewed = compilation.renewed(scene)
+        if renewed is not None:
+            doubts = before.doubts if renewed.doubts_remain else doubts_of(scene.tree, renewed.system.whole())
+            found = PreparedScene(renewed.system, renewed.seen, scalar, renewed.conditions, doubts)
+            if scene.key is not None and not is_tracing():
+                _lasts.put(key, (compilation.followed_by(scene, renewed), found))
+            return found
+    compiled = compile_scene(scene.tree, track_work=track_work)
+    found = PreparedScene.of(compiled, scalar, doubts_of(scene.tree, compiled.system))
+    if key is not None and scene.key is not None and not is_tracing():
+        compilation = found.compilation(scene)
+        if compilation is not None:
+            _lasts.put(key, (compilation, found))
+    return found
 
 
 @memoized(N_SCENES)
 def prepared_system(system: System, scalar: bool | None) -> PreparedScene:
     """The same of a scene that is compiled already, whose numbers have been checked and doubts been said."""
-    return PreparedScene(CompiledScene(system, []), scalar)
+    return PreparedScene.of(CompiledScene(system, []), scalar)
 
 
 @memoized(N_ANSWERS, _by_scene)

@@ -7,7 +7,7 @@ import diffrax
 import numpy as np
 
 from spherejax.foundations.behind_tracers import known_behind
-from spherejax.foundations.checks import is_concrete
+from spherejax.foundations.checks import called, is_concrete
 from spherejax.model.system import Structure, System, flatten_system
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for
@@ -164,7 +164,7 @@ def _choice(system: System, known_rtol: float) -> SolverChoice:
 
 
 def _choice_by_joints(system: System, known_rtol: float) -> SolverChoice:
-    looked_at = [name for name in system.force_joints if _may_be_stiff(system.spherical(name).model)]
+    looked_at = [name for name in system.force_joints if _may_be_stiff(called(system, "spherical", name).model)]
     if not looked_at:
         return SolverChoice(diffrax.Dopri8(), NOTHING_IN_JOINTS)
     structure, theta = flatten_system(system)
@@ -299,7 +299,7 @@ def _fastest(system: System, structure: Structure, theta, rtol: float) -> _Rate:
     A ball that floats in a film or an elastomer vibrates as it does on any mechanism; one that is held to its socket by
     friction or a film moves as slowly as the mechanism does.
     """
-    models = {name: system.spherical(name).model for name in system.force_joints}
+    models = {name: called(system, "spherical", name).model for name in system.force_joints}
     found = []
     if any(model.medium is not None for model in models.values()):
         floating = rates_in_clearance(structure, theta)

@@ -20,7 +20,7 @@ from spherejax.foundations.lanes import over_lanes
 from spherejax.foundations.rotation import normalized, quaternion_from_rotation_vector, quaternion_product
 from spherejax.foundations.types import Numeric, Quaternion, Scalar, Vector3
 from spherejax.model.drift import NoDriftControl
-from spherejax.model.system import Structure, System
+from spherejax.model.system import Structure, System, example_of
 from spherejax.motion.equations.body_motions import body_motions
 from spherejax.motion.equations.constraints import assembly_set, velocity_violation
 from spherejax.motion.equations.programs import program_for
@@ -156,10 +156,10 @@ def _described(system: System, t: Scalar, y: Float[Array, " n"]) -> Float[Array,
     return described_state(system)
 
 
+@lru_cache(maxsize=64)
 def _n_start(structure: Structure) -> int:
     """Length of a flat state without memory: the programs of assembly are made for systems that have none."""
-    numbers = jax.ShapeDtypeStruct((sum(int(np.prod(shape)) for shape in structure.shapes),), jnp.float64)
-    return jax.eval_shape(structure.system, numbers).layout.size
+    return example_of(structure).layout.size
 
 
 def _report(described, moved, before, after, xp: Any = jnp) -> Assembly:

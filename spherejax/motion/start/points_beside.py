@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -37,7 +38,9 @@ def points_beside(scene: Scene, system: System) -> tuple[str, ...]:
     if not one_point or not any(body.points for body in scene.bodies.values()):
         return ()
     named = _named_points(scene)
-    used = {text for part in (*scene.joints.values(), *scene.forces.values()) for text in _texts(part)}
+    # Looked up where a point is near: most joints are at the points that they name, and to walk through all parts takes
+    # longer than all else here.
+    used = cache(lambda: {text for part in (*scene.joints.values(), *scene.forces.values()) for text in _texts(part)})
     said = []
     for name, joint in one_point.items():
         places = tuple(zip(joint.bodies, system.joints[name].points, strict=True))
@@ -51,8 +54,9 @@ def points_beside(scene: Scene, system: System) -> tuple[str, ...]:
             if min(gaps.values()) <= FAR_SHARE * size:
                 continue
             nearest = min(gaps, key=lambda point: gaps[point])
-            is_free = f"{body}.{nearest}" not in used and not _is_met(body, named[body][nearest], system)
-            if is_free and gaps[nearest] < NEAR_SHARE * size and _is_at_a_point(other, other_place, named):
+            if not (gaps[nearest] < NEAR_SHARE * size and _is_at_a_point(other, other_place, named)):
+                continue
+            if f"{body}.{nearest}" not in used() and not _is_met(body, named[body][nearest], system):
                 said.append(_message(name, joint, body, nearest, gaps[nearest]))
     return tuple(said)
 

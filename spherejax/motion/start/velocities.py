@@ -40,6 +40,8 @@ def removed_velocities(system: System, structure: Structure, numbers, t: float, 
     given = np.array([[*np.asarray(body.velocity), *np.asarray(body.angular_velocity)] for body in bodies])
     places, velocities = np.split(np.asarray(start.y), [POSITION_SIZE * len(bodies)])
     taken = velocities.reshape(given.shape)
+    if not given.any():  # as below, where most scenes begin: no speed that could be removed
+        return ""
     radius = _length_of(structure, numbers.tobytes())
     if not _largest_speed(taken - given, radius) > NOTICEABLE * _largest_speed(given, radius) > 0:
         return ""

@@ -1,0 +1,264 @@
+"""A scene that differs from one before in a few numbers: what they change is made anew, all else is taken over.
+
+To check a scene, to place its joints and to take it apart costs more than most of its runs. Nothing is taken over on
+trust:
+
+* the tree structures of both scenes are equal, with all that is static in them, and all of it is this package's;
+* the bits of all leaves are compared. A part with another leaf goes through the code that all parts of a new scene go
+  through; parts are placed by the geometry of bodies alone (`system.BodyGeometry`), which is the same;
+* what such a part says of itself for the whole (its memory, whether it conserves energy) must be what it said before.
+
+Where one of these fails there is no renewal, and the scene is compiled from the start: one with an error is, so that
+errors and their order are those of a new scene.
+"""
+
+from collections.abc import Mapping
+from functools import cached_property, lru_cache, partial
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from spherejax.foundations.checks import called, enforce, is_concrete
+from spherejax.foundations.errors import SceneError
+from spherejax.model.scene import Scene
+from spherejax.model.system import (
+    BodyGeometry,
+    System,
+    check_leaves,
+    for_masses,
+    is_own,
+    moving_body,
+    with_laws_by_factor,
+)
+from spherejax.physics.bodies import Body
+from spherejax.physics.forces.remembering import memory_entries
+from spherejax.physics.joints.lubricated import Lubricated
+from spherejax.physics.memory import MemoryEntry
+from spherejax.program_cache.keys import KeyedTree, own
+
+NOT_DRAWN = frozenset((0, 1, 4, 5))
+"""Mass, inertia and the two velocities, by their places among the leaves of a body: no part is placed by these."""
+
+FIELDS = {"body": "bodies", "joint": "joints", "force": "forces"}
+"""Where the parts of each kind are, in a scene and in a system."""
+
+
+class Taken(NamedTuple):
+    """A system, or a part of one, taken apart.
+
+    Attributes:
+        leaves: its numbers.
+        tree: its structure.
+    """
+
+    leaves: list
+    tree: Any
+
+    @classmethod
+    def apart(cls, whole: Any) -> "Taken":
+        """What is taken apart; arrays of NumPy, in which a user may write, are copied."""
+        leaves, tree = jax.tree.flatten(whole)
+        return cls(list(map(own, leaves)), tree)
+
+    def whole(self) -> Any:
+        """Put together again."""
+        return jax.tree.unflatten(self.tree, self.leaves)
+
+
+class Renewed(NamedTuple):
+    """What a renewal makes.
+
+    Attributes:
+        system: the system; its numbers are known where those of the scene are.
+        seen: the same with laws by their factors.
+        changed: where leaves of `seen` may be others than before.
+        doubts_remain: whether all that doubts of the start are made of is as before.
+        conditions: on traced values.
+    """
+
+    system: Taken
+    seen: Taken
+    changed: tuple[slice, ...]
+    doubts_remain: bool
+    conditions: list
+
+
+class Compilation:
+    """A compiled scene from which others can be renewed; all of its numbers are known.
+
+    Attributes:
+        system, seen: the system that it calls for, and that with laws by their factors.
+    """
+
+    def __init__(self, values: tuple, system: Taken, seen: Taken, frame: "_SharedByScenes"):
+        self.system, self.seen = system, seen
+        self._values, self._frame = values, frame
+
+    @classmethod
+    def of(cls, reading: KeyedTree, system: Taken, seen: Taken) -> "Compilation | None":
+        """Of a scene that was compiled from the start; None where no other can be renewed from it."""
+        if reading.key is None or reading.user_code or not is_own(reading.structure):
+            return None
+        if not all(type(body) is Body for body in reading.tree.bodies.values()):
+            return None
+        return cls(reading.values, system, seen, _SharedByScenes(reading.structure, system, seen))
+
+    def followed_by(self, reading: KeyedTree, renewed: Renewed) -> "Compilation":
+        """That of a scene of known numbers that was renewed from this one."""
+        return Compilation(reading.values, renewed.system, renewed.seen, self._frame)
+
+    def renewed(self, reading: KeyedTree) -> Renewed | None:
+        """What a scene of the same structure calls for; None where it has to be compiled from the start."""
+        pairs = zip(self._values, reading.values, strict=True)
+        changed = [i for i, (old, new) in enumerate(pairs) if old != new]
+        if not all(_is_alike(self._values[i], reading.leaves[i]) for i in changed):
+            return None
+        parts = self._frame.parts_of(changed)
+        try:
+            return None if parts is None else self._renewed(parts, reading.tree)
+        except SceneError:  # it is raised again, in its order
+            return None
+
+    def _renewed(self, parts: list["_PlacesOfPart"], scene: Scene) -> Renewed | None:
+        system, seen = list(self.system.leaves), list(self.seen.leaves)
+        conditions, doubts_remain = [], True
+        for part in parts:
+            described: Any = getattr(scene, FIELDS[part.kind])[part.name]
+            conditions += enforce(f"{part.kind} {part.name!r}", called(described, "requirements"))
+            made = self._frame.made(part, described, scene)
+            if made is None:
+                return None
+            doubts_remain = doubts_remain and (part.kind != "joint" or not self._may_be_doubted(part, made))
+            one, other = Taken.apart(made), Taken(*jax.tree.flatten(with_laws_by_factor(made)))
+            if one.tree != part.placed_tree or other.tree != part.seen_tree:
+                return None
+            system[part.placed], seen[part.seen] = one.leaves, other.leaves
+        if any(part.kind == "body" for part in parts) and not self._frame.is_for_masses_of(scene):
+            return None
+        trees = self.system.tree, self.seen.tree
+        changed = tuple(part.seen for part in parts)
+        return Renewed(Taken(system, trees[0]), Taken(seen, trees[1]), changed, doubts_remain, conditions)
+
+    def _may_be_doubted(self, part: "_PlacesOfPart", joint: Any) -> bool:
+        """Whether a joint may give reasons for doubt that it did not give before: another place, or another film."""
+        before = jax.tree.unflatten(part.placed_tree, self.system.leaves[part.placed])
+        places = (*before.points, *joint.points)
+        if isinstance(getattr(joint, "model", None), Lubricated) or not all(map(is_concrete, places)):
+            return True
+        return not all(map(np.array_equal, before.points, joint.points))
+
+
+class _PlacesOfPart(NamedTuple):
+    """A part of a scene: where its leaves are in the scene, in the system, and in that with laws by their factors; of
+    the two systems its structures too."""
+
+    kind: str
+    name: str
+    described: slice
+    placed: slice
+    placed_tree: Any
+    seen: slice
+    seen_tree: Any
+
+
+class _SharedByScenes:
+    """What scenes of one structure share that are renewed from each other; found when it is first asked for."""
+
+    def __init__(self, structure: Any, system: Taken, seen: Taken):
+        self._of, self._system = (structure, system.tree, seen.tree), system
+        self._drawn: dict[str, BodyGeometry] | None = None
+
+    @cached_property
+    def _parts(self) -> tuple[_PlacesOfPart, ...]:
+        described, placed, by_factor = map(_places, self._of)
+        return tuple(
+            _PlacesOfPart(kind, name, at, *placed[field, name], *by_factor[field, name])
+            for kind, field in FIELDS.items()
+            for (of, name), (at, _) in described.items()
+            if of == field
+        )
+
+    @cached_property
+    def _part_of(self) -> list[int | None]:
+        found: list[int | None] = [None] * self._of[0].num_leaves
+        for k, part in enumerate(self._parts):
+            found[part.described] = [k] * (part.described.stop - part.described.start)
+        return found
+
+    @cached_property
+    def _whole(self) -> System:
+        return self._system.whole()
+
+    @cached_property
+    def _said(self) -> dict[tuple[str, str], tuple | None]:
+        joints, forces = self._whole.joints.items(), self._whole.forces.items()
+        of_joints = {("joint", name): _said_of_joint(joint) for name, joint in joints}
+        return of_joints | {("force", name): _said_of_force(force) for name, force in forces}
+
+    def parts_of(self, leaves: list[int]) -> list[_PlacesOfPart] | None:
+        """The parts that leaves belong to; None where another geometry, gravity or drift control is among them."""
+        found = {self._part_of[i] for i in leaves}
+        for i in leaves:
+            part = self._part_of[i]
+            if part is None:
+                return None
+            kind, _, described, *_ = self._parts[part]
+            if kind == "body" and i - described.start not in NOT_DRAWN:
+                return None
+        return [part for k, part in enumerate(self._parts) if k in found]
+
+    def made(self, part: _PlacesOfPart, described: Any, scene: Scene) -> Any:
+        """What is made of a part for the system; None where it says something else of itself than before."""
+        if part.kind == "body":
+            return moving_body(described)
+        if self._drawn is None:  # of any of these scenes: they have the same geometry
+            self._drawn = {name: jax.tree.map(own, BodyGeometry.of(body)) for name, body in scene.bodies.items()}
+        placed = called(described, "placed", self._drawn, partial(called, scene, "find"))
+        check_leaves(f"{part.kind} {part.name!r}", placed)
+        said = _said_of_joint(placed) if part.kind == "joint" else _said_of_force(placed)
+        return placed if said is not None and said == self._said[part.kind, part.name] else None
+
+    def is_for_masses_of(self, scene: Scene) -> bool:
+        """Whether other masses and moments are as far apart as those before."""
+        whole = self._whole
+        return for_masses(scene.bodies, whole.is_driven) == (whole.refines_constraints, whole.smallest_pivot)
+
+
+@lru_cache(maxsize=256)
+def _places(tree: Any) -> Mapping[tuple[str, str], tuple[slice, Any]]:
+    """Where the leaves of each part of a scene or a system are, and their structure, by field and name."""
+    found, start = {}, 0
+    for field, of_field in zip(FIELDS.values(), tree.children(), strict=False):  # gravity and others follow
+        _, names = of_field.node_data()  # sorted, by JAX
+        for name, part in zip(names, of_field.children(), strict=True):
+            found[field, name] = slice(start, start + part.num_leaves), part
+            start += part.num_leaves
+    return found
+
+
+def _is_alike(old: tuple, new: Any) -> bool:
+    """Whether a leaf that has changed has a form that was found right before: real numbers of the same shape."""
+    shape = () if old[0] is float else old[2] if len(old) == 4 and old[1] == "<f8" else None
+    if type(new) is float:
+        return shape == ()
+    is_array = type(new) in (np.float64, np.ndarray) or isinstance(new, jax.Array)  # tracers among these
+    return is_array and new.shape == shape and new.dtype == np.float64
+
+
+def _said_of_joint(joint: Any) -> tuple | None:
+    """What a placed joint says of itself for the whole; None where a number in it is traced."""
+    memory = _in_values(joint.memory)
+    return None if memory is None else (memory, joint.is_driven, joint.never_adds_energy, joint.conserves_energy)
+
+
+def _said_of_force(force: Any) -> tuple | None:
+    """The same of a force element."""
+    memory = _in_values(memory_entries(force))
+    return None if memory is None else (memory, force.never_adds_energy, force.conserves_energy)
+
+
+def _in_values(memory: tuple[MemoryEntry, ...]) -> tuple | None:
+    if not all(is_concrete(entry.scale) for entry in memory):
+        return None
+    return tuple(e if isinstance(e.scale, str) else e._replace(scale=float(e.scale)) for e in memory)
