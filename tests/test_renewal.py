@@ -3,6 +3,7 @@
 import warnings
 
 import cases
+import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -11,10 +12,16 @@ import pytest
 
 import spherejax as sj
 from spherejax.foundations.errors import SceneError
+from spherejax.model.picking import picked
 from spherejax.model.renewal import Compilation, Taken
 from spherejax.model.system import compile_scene, structure_and_numbers, with_laws_by_factor
+from spherejax.motion.integration.problem import RunMethod
 from spherejax.motion.runs import preparation
 from spherejax.motion.runs import simulate as simulating
+from spherejax.motion.settings import settings_from
+from spherejax.motion.solvers.automatic import choice_by_structure, choose_solver
+from spherejax.motion.start.start_now import known_start, usual_start
+from spherejax.motion.start.tolerances import component_tolerances, controller_for, known_tolerances
 from spherejax.program_cache.keys import KeyedTree, LruCache
 
 
@@ -226,3 +233,97 @@ def test_what_is_traced_is_renewed_with_its_conditions(warm):
 
 def _with_traced(scene, value):
     return eqx.tree_at(lambda s: s.joints["coupler_rocker"].model.clearance, scene, value)
+
+
+@pytest.mark.parametrize(
+    "build",
+    [pytest.param(build, id=name) for name, build in SCENES.items()]
+    + [pytest.param(build, id=name, marks=pytest.mark.slow) for name, build in OTHERS.items()],
+)
+def test_what_is_read_off_the_numbers_is_what_the_system_says(build):
+    """Tolerances, start and method by the vector of numbers, against those by the system, to the last bit."""
+    scene = build()
+    for other in (scene, mass_of_first(scene, 0.7), mass_of_first(scene, 2.0)):
+        _, seen = from_the_start(other)
+        structure, theta = structure_and_numbers(*seen)
+        system = seen.whole()
+        found, expected = known_tolerances(structure, theta, 1e-8), component_tolerances(system, 1e-8)
+        scales = [entry.scale for slot in system.all_slots for entry in slot.contents]
+        # A scale that is a number of its own has to be asked for.
+        assert (found is not None) == all(isinstance(scale, str) for scale in scales)
+        if found is not None:
+            assert found.description == expected.description
+            assert bits(found[:2]) == bits(expected[:2])
+            control = controller_for(structure, expected.rtol, expected.atol)
+            one = RunMethod.of_own_control(structure, diffrax.Dopri8(), found, 1000)
+            another = RunMethod.of(structure, diffrax.Dopri8(), control, 1000)
+            assert jax.tree.structure(one) == jax.tree.structure(another)
+            assert bits(jax.tree.leaves(one)) == bits(jax.tree.leaves(another))
+        start, whole = usual_start(structure, theta), known_start(system, TS)
+        assert whole is not None
+        if start is not None:
+            assert start.warnings == whole.warnings == ()
+            assert bits(start.assembly) == bits(whole.assembly)
+
+
+def mass_of_first(scene, times):
+    name = min(scene.bodies)
+    return eqx.tree_at(lambda s: s.bodies[name].mass, scene, np.float64(times * scene.bodies[name].mass))
+
+
+def test_usual_starts_are_usual():
+    """The short way is taken where it is meant to be, and not where the start has something to say."""
+    for build, is_usual in ((SCENES["dry"], True), (SCENES["bushing"], False), (moving, False), (misplaced, False)):
+        structure, theta = structure_and_numbers(*from_the_start(build())[1])
+        assert (usual_start(structure, theta) is not None) == is_usual
+
+
+def moving():
+    return eqx.tree_at(lambda s: s.bodies["coupler"].velocity, SCENES["dry"](), np.array([0.0, 1.0, 0.0]))
+
+
+def misplaced():
+    scene = SCENES["dry"]()
+    position = scene.bodies["coupler"].position
+    return eqx.tree_at(lambda s: s.bodies["coupler"].position, scene, position + np.array([0.0, 0.0, 1e-3]))
+
+
+def test_a_choice_by_structure_is_that_by_numbers():
+    plain = sj.gallery.four_bar(sj.Dry(1e-4))
+    for scene, is_decided in ((plain, True), (SCENES["dry"](), False), (SCENES["bushing"](), False)):
+        structure, _ = structure_and_numbers(*from_the_start(scene)[1])
+        by_structure = choice_by_structure(structure)
+        assert (by_structure is not None) == is_decided
+        if by_structure is not None:
+            expected = choose_solver(compile_scene(scene).system, 1e-8)
+            assert by_structure.reason == expected.reason
+            assert type(by_structure.solver) is type(expected.solver)
+            assert by_structure[2:] == expected[2:]
+
+
+def test_a_function_that_computes_is_not_taken_for_one_that_picks():
+    structure, theta = structure_and_numbers(*from_the_start(SCENES["dry"]())[1])
+    bodies = picked(lambda s: [s.bodies["crank"].position, np.ones(2)], structure)
+    crank = structure.system(theta).bodies["crank"]
+    assert bodies.flat(theta).tolist() == [*crank.position, 1.0, 1.0]
+    for function in (
+        lambda s: 2 * s.gravity,
+        lambda s: s.gravity if s.bodies["crank"].mass > 0 else s.bodies["crank"].position,
+        lambda s: s.gravity if s.bodies["crank"].mass == 1.0 else s.bodies["crank"].position,
+        lambda s: np.asarray(s.gravity),
+        lambda s: jnp.sum(s.gravity),
+        lambda s: s.gravity[0],
+        lambda s: s.gravity or 1.0,
+    ):
+        assert picked(function, structure) is None
+
+
+@pytest.mark.parametrize(
+    "values", [(1e-8, 1e-9), (1, True), (True, 1), (1.0, 1), (0.0, -0.0), (np.nan, 1e-8), (None, 0.0)], ids=str
+)
+def test_settings_of_plain_numbers_are_not_mixed_up(values):
+    for value in values:
+        made = settings_from(value, value)
+        assert type(made.rtol) is type(value)
+        assert str(made.rtol) == str(made.atol) == str(value)
+        assert settings_from(value, value) is made

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 import spherejax as sj
+from spherejax.foundations.remembering.again import again
 from spherejax.model import scene as scenes
 from spherejax.model import system as systems
 from spherejax.model.system import compile_scene, with_laws_by_factor
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.runs import preparation
 from spherejax.motion.runs import simulate as simulating
-from spherejax.motion.runs.again import again
 from spherejax.motion.runs.preparation import prepared
 from spherejax.program_cache.keys import LruCache, value_key
 

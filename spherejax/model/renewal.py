@@ -25,7 +25,6 @@ from spherejax.model.scene import Scene
 from spherejax.model.system import (
     BodyGeometry,
     System,
-    check_leaves,
     for_masses,
     is_own,
     moving_body,
@@ -215,7 +214,6 @@ class _SharedByScenes:
         if self._drawn is None:  # of any of these scenes: they have the same geometry
             self._drawn = {name: jax.tree.map(own, BodyGeometry.of(body)) for name, body in scene.bodies.items()}
         placed = called(described, "placed", self._drawn, partial(called, scene, "find"))
-        check_leaves(f"{part.kind} {part.name!r}", placed)
         said = _said_of_joint(placed) if part.kind == "joint" else _said_of_force(placed)
         return placed if said is not None and said == self._said[part.kind, part.name] else None
 

@@ -2,8 +2,8 @@
 
 import itertools
 import math
-from collections.abc import Callable, Hashable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cache, cached_property, lru_cache, partial
 from typing import Any, NamedTuple
 
@@ -433,17 +433,22 @@ class Structure:
     def _hash(self) -> int:
         return hash((self.tree, self.shapes, self.special, self.code))
 
+    @cached_property
+    def starts(self) -> list[int]:
+        """Where the numbers of each leaf begin, and where the last ones end."""
+        return [0, *itertools.accumulate(map(math.prod, self.shapes))]
+
+    def for_special(self, special: tuple[tuple[int, float], ...]) -> "Structure":
+        """That of a system of the same tree and shapes; itself where the same numbers are special."""
+        return self if special == self.special else replace(self, special=special)
+
     def __hash__(self) -> int:
         return self._hash
 
     def system(self, theta) -> System:
         """The system whose numbers are the flat vector `theta`."""
-
-        leaves, start = [], 0
-        for shape in self.shapes:
-            size = int(np.prod(shape))
-            leaves.append(theta[start : start + size].reshape(shape))
-            start += size
+        ends = zip(self.starts, self.starts[1:], self.shapes, strict=False)
+        leaves = [theta[start:end].reshape(shape) for start, end, shape in ends]
         return jax.tree.unflatten(self.tree, leaves)
 
 
@@ -458,6 +463,15 @@ def flatten_system(system: System):
     return structure_and_numbers(leaves, tree)
 
 
+def special_in(numbers: Float[np.ndarray, " n"]) -> list[tuple[int, float]]:
+    """Which numbers are one of `SPECIAL_VALUES`, as (index, value)."""
+    at = np.flatnonzero((numbers[:, None] == _SPECIAL).any(axis=1))
+    return list(zip(at.tolist(), numbers[at].tolist(), strict=True))
+
+
+_SPECIAL = np.array(SPECIAL_VALUES)
+
+
 def structure_and_numbers(leaves: list, tree: Any):
     """`flatten_system` of a system that is taken apart already."""
     shapes = tuple(np.shape(leaf) for leaf in leaves)
@@ -468,7 +482,7 @@ def structure_and_numbers(leaves: list, tree: Any):
         some = list(group)
         if known:
             flat = np.concatenate([np.asarray(leaf, np.float64).ravel() for leaf in some])
-            special += [(start + i, float(flat[i])) for i in np.flatnonzero(np.isin(flat, SPECIAL_VALUES)).tolist()]
+            special += [(start + i, value) for i, value in special_in(flat)]
             parts.append(flat)
             start += flat.size
         else:
@@ -478,6 +492,24 @@ def structure_and_numbers(leaves: list, tree: Any):
     if len(parts) == 1 and isinstance(parts[0], np.ndarray):
         return structure, parts[0]
     return structure, _end_to_end(parts)
+
+
+def numbers_renewed(
+    structure: Structure, theta: Float[np.ndarray, " p"], leaves: list, changed: Sequence[slice]
+) -> tuple[Structure, Float[np.ndarray, " p"]]:
+    """`structure_and_numbers` of a system of known numbers that has other leaves at some places, to the same bits.
+
+    Args:
+        structure, theta: of the system before.
+        leaves: of the other system, whose tree and shapes are the same.
+        changed: where leaves may differ.
+    """
+    theta, starts = theta.copy(), structure.starts
+    for some in changed:
+        if some.stop > some.start:
+            numbers = np.concatenate([np.asarray(leaf, np.float64).ravel() for leaf in leaves[some]])
+            theta[starts[some.start] : starts[some.stop]] = numbers
+    return structure.for_special(tuple(special_in(theta))), theta
 
 
 @jax.jit

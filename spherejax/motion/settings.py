@@ -1,5 +1,6 @@
 """How a run is integrated: one record, made where a run is asked for, and handed on whole."""
 
+from functools import lru_cache
 from typing import Any
 
 import diffrax
@@ -12,6 +13,7 @@ from jaxtyping import Array, Float
 from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.forms import real_number, whole_number
+from spherejax.foundations.remembering.same import Same
 
 SMALLEST_TOLERANCE = 1e-14
 """Relative tolerances below this ask for digits that float64 does not carry (its resolution is 2.2e-16)."""
@@ -68,10 +70,7 @@ class RunSettings(eqx.Module):
             SceneError: for tolerances that no integration can keep, or that ask for none; for a number of steps that
                 cannot be.
         """
-        check_tolerances(self.rtol, self.atol, self.derivative_rtol)
-        if self.has_traced_budget:
-            return self
-        return self.replaced(max_steps=whole_number("max_steps", self.max_steps, ENOUGH_STEPS))
+        return _checked(Same(self)) if self._is_plain else _checked_now(self)
 
     def replaced(self, **fields: Any) -> "RunSettings":
         """The same with other values of some fields."""
@@ -100,15 +99,12 @@ class RunSettings(eqx.Module):
 
         None where it cannot: a controller of the user's judged its steps, or a number is traced.
         """
-        numbers = filter(eqx.is_array, jax.tree.leaves((solver, self.rtol, self.atol)))
-        if self.stepsize_controller is not None or self.has_traced_budget or not all(map(is_concrete, numbers)):
-            return None
-        atol = None if self.atol is None else float(self.atol)
-        named = self.solver is not None and self.is_solver_named
-        return RunSettings(
-            float(self.rtol), atol, solver, max_steps=int(self.max_steps), track_work=self.track_work,
-            scalar=self.scalar, is_solver_named=named,
-        )  # fmt: skip
+        return _of_run(Same(self), Same(solver)) if self._is_plain else _of_run_now(self, solver)
+
+    @property
+    def _is_plain(self) -> bool:
+        """Whether nothing in it can be changed, or is traced: what follows from it is remembered."""
+        return _PLAIN.issuperset(map(type, vars(self).values()))
 
     def __eq__(self, other: Any) -> bool:
         """Whether all values are the same."""
@@ -122,6 +118,67 @@ class RunSettings(eqx.Module):
     def _key(self) -> tuple:
         numbers = self.rtol, self.atol, self.max_steps, self.track_work, self.scalar, self.is_solver_named
         return type(self.solver), numbers
+
+
+_PLAIN = frozenset((float, int, bool, type(None)))
+
+
+def settings_from(*fields: Any) -> RunSettings:
+    """The record of fields in their order; of plain numbers the same object each time: to make it, and what follows
+    from it, takes longer than to ask for it."""
+    return _recorded(_PlainFields(fields)) if _PLAIN.issuperset(map(type, fields)) else RunSettings(*fields)
+
+
+class _PlainFields:
+    """Plain values as the key of a table: to Python 1, 1.0 and True are equal, and NaN is not equal to itself."""
+
+    __slots__ = ("_key", "values")
+
+    def __init__(self, values: tuple):
+        self.values = values
+        self._key = *map(type, values), *[repr(value) if type(value) is float else value for value in values]
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _PlainFields) and self._key == other._key
+
+
+@lru_cache(maxsize=64)
+def _recorded(fields: _PlainFields) -> RunSettings:
+    return RunSettings(*fields.values)
+
+
+@lru_cache(maxsize=64)
+def _checked(settings: Same) -> RunSettings:
+    return _checked_now(settings.value)
+
+
+def _checked_now(settings: RunSettings) -> RunSettings:
+    check_tolerances(settings.rtol, settings.atol, settings.derivative_rtol)
+    if not is_concrete(settings.max_steps):
+        return settings
+    steps = whole_number("max_steps", settings.max_steps, ENOUGH_STEPS)
+    return RunSettings(**{**vars(settings), "max_steps": steps})
+
+
+@lru_cache(maxsize=64)
+def _of_run(settings: Same, solver: Same) -> RunSettings | None:
+    return _of_run_now(settings.value, solver.value)
+
+
+def _of_run_now(settings: RunSettings, solver: diffrax.AbstractSolver) -> RunSettings | None:
+    numbers = filter(eqx.is_array, jax.tree.leaves((solver, settings.rtol, settings.atol)))
+    has_traced_budget = not is_concrete(settings.max_steps)
+    if settings.stepsize_controller is not None or has_traced_budget or not all(map(is_concrete, numbers)):
+        return None
+    atol = None if settings.atol is None else float(settings.atol)
+    named = settings.solver is not None and settings.is_solver_named
+    return RunSettings(
+        float(settings.rtol), atol, solver, max_steps=int(settings.max_steps), track_work=settings.track_work,
+        scalar=settings.scalar, is_solver_named=named,
+    )  # fmt: skip
 
 
 def check_tolerances(rtol, atol, derivative_rtol=None) -> None:

@@ -15,10 +15,10 @@ import struct
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from functools import wraps
+from itertools import compress
 from threading import Lock
 from typing import Any, TypeVar, cast
 
-import equinox as eqx
 import jax
 import jax.core
 import numpy as np
@@ -134,6 +134,10 @@ class ArrayKind(tuple):
         return self if axis is None else ArrayKind(((n, *shape), dtype, weak_type))
 
 
+_ARRAYS = (np.ndarray, np.generic, jax.Array)
+"""What is traced: as of `equinox.is_array`, which is asked fifty times in a call."""
+
+
 def call_key(tree: Any) -> tuple[CacheKey, list, list]:
     """The key of a call of a compiled function, by the shapes and types of arrays and by the values of all else.
 
@@ -145,16 +149,15 @@ def call_key(tree: Any) -> tuple[CacheKey, list, list]:
         TypeError: where something that is no array is not hashable.
     """
     leaves, structure = jax.tree.flatten(tree)
-    parts, static, arrays = [], [], []
-    for leaf in leaves:
-        if eqx.is_array(leaf):
-            parts.append(ArrayKind.of(leaf))
-            static.append(None)
-            arrays.append(leaf)
+    parts, static, is_array = list(leaves), list(leaves), [isinstance(leaf, _ARRAYS) for leaf in leaves]
+    for i, leaf in enumerate(leaves):
+        if is_array[i]:
+            parts[i] = ArrayKind((leaf.shape, leaf.dtype, getattr(leaf, "weak_type", False)))
+            static[i] = None
         else:
             # The leaf itself, not its fingerprint: equality is up to its class, as it is for what JAX keeps static.
-            parts.append(_plain_key(leaf) or leaf)
-            static.append(leaf)
+            parts[i] = _plain_key(leaf) or leaf
+    arrays = list(compress(leaves, is_array))
     return CacheKey(structure, user_code_fingerprint(structure), tuple(parts)), static, arrays
 
 

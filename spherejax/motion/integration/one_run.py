@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from spherejax.foundations.checks import is_concrete, is_tracing
+from spherejax.foundations.remembering.again import again
 from spherejax.model.system import Structure, example_of
 from spherejax.motion.equations.contacts import crossings
 from spherejax.motion.equations.dynamics import state_rate
@@ -40,6 +41,7 @@ from spherejax.motion.solvers.joint_rates import fastest_in_clearance
 from spherejax.motion.solvers.rosenbrock import Ros34PW2
 from spherejax.motion.solvers.traits import is_explicit
 from spherejax.motion.start.assembly import Assembly
+from spherejax.physics.state import Layout
 from spherejax.program_cache import cached_jit
 from spherejax.program_cache.disk_cache import is_debugging
 
@@ -109,9 +111,12 @@ def _in_windows(plan: Plan, method: RunMethod, inputs: RunInputs) -> Callable[[]
             raise
         t_reached, y_reached, status, stats = found
         assembly = assembly if described is None else assembly._replace(y=described)
-        return Outcome(ys, t_reached, y_reached, status, stats, assembly)
+        return _put_together(ys, t_reached, y_reached, status, stats, assembly)
 
     return run
+
+
+_put_together = again(Outcome)
 
 
 @lru_cache(maxsize=64)
@@ -134,21 +139,30 @@ def _as_flying(plan: Plan, theta: Float[np.ndarray, " p"], t: float, start: Asse
 
     With what leads a ball to a place beyond its socket's surface the program has twice as many operations.
     """
-    system = example_of(plan.structure)
-    if start is None or not system.contact_joints or system.force_states or len(start.y) == system.layout.size:
+    n_contacts, layout, first_of_forces = _flight_of(plan.structure)
+    if start is None or not n_contacts or len(start.y) == layout.size:
         return start
     crossing = program_for(crossings, plan.structure, plan.scalar, is_quiet=True)  # which the run needs as well
     if crossing.scalar is None:
         return start
-    y = np.concatenate([start.y, np.zeros(system.layout.size - len(start.y))])
-    if system.force_slots:
+    y = np.concatenate([start.y, np.zeros(layout.size - len(start.y))])
+    if first_of_forces is not None:
         turned = program_for(initial_force_memory, plan.structure, plan.scalar, is_quiet=True)
         if turned.scalar is None:
             return start
-        first = system.layout.memory_start + system.force_slots[0].start
-        y[first : system.layout.work_start] = np.asarray(turned.compute(theta, t, y))
-    values = crossing.compute(theta, t, y).value[: len(system.contact_joints)]
+        first = layout.memory_start + first_of_forces
+        y[first : layout.work_start] = np.asarray(turned.compute(theta, t, y))
+    values = crossing.compute(theta, t, y).value[:n_contacts]
     return start._replace(y=y) if np.all(values <= 0) else start
+
+
+@lru_cache(maxsize=64)
+def _flight_of(structure: Structure) -> tuple[int, Layout, int | None]:
+    """The number of contacts whose balls may fly, the layout of the state, and where entries of force elements begin in
+    the memory; no contacts where force elements remember more than turns."""
+    system = example_of(structure)
+    n_contacts = 0 if system.force_states else len(system.contact_joints)
+    return n_contacts, system.layout, system.force_slots[0].start if system.force_slots else None
 
 
 class RunAndSlopes(NamedTuple):

@@ -19,6 +19,7 @@ from jaxtyping import Array, Float
 
 from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.lanes import in_lanes
+from spherejax.foundations.remembering.same import Same
 from spherejax.foundations.types import Number, Scalar
 from spherejax.model.numbers import Number as SceneNumber
 from spherejax.model.numbers import numbers_of
@@ -165,6 +166,29 @@ class RunMethod(eqx.Module):
         return method._replaced(stiff_arrays=stiff_arrays, stiff_rest=stiff_rest, limit=at_start.limit)
 
     @classmethod
+    def of_own_control(
+        cls,
+        structure: Structure,
+        solver: diffrax.AbstractSolver,
+        tolerances: Tolerances,
+        max_steps: Any,
+        at_start: AtStart | None = None,
+        tangent_tolerance_factor: Any = None,
+    ) -> "RunMethod":
+        """`of` with this package's step-size control."""
+        numbers = tolerances.rtol, tolerances.atol
+        are_arrays = all(type(each) is np.ndarray for each in numbers)
+        if not (are_arrays and type(max_steps) is int and at_start is None and tangent_tolerance_factor is None):
+            controller = controller_for(structure, *numbers)
+            return cls.of(structure, solver, controller, max_steps, at_start, tangent_tolerance_factor)
+        # By another scene's tolerances it is the same but for these: to make it takes fourteen times as long.
+        leaves, tree, places = _taken_apart(structure, Same(solver), max_steps, *map(np.shape, numbers))
+        leaves = list(leaves)
+        for place, number in zip(places, map(jnp.asarray, numbers), strict=True):
+            leaves[place] = number
+        return jax.tree.unflatten(tree, leaves)
+
+    @classmethod
     def by_tolerances(
         cls,
         structure: Structure,
@@ -239,6 +263,15 @@ class RunMethod(eqx.Module):
         else:
             rtol = getattr(eqx.combine(self.tolerances, self.control), "rtol", None)
         return audit_limits(plan.structure.system(theta), rtol, self.rest)
+
+
+@lru_cache(maxsize=64)
+def _taken_apart(structure: Structure, solver: Same, max_steps: int, *shapes: tuple[int, ...]) -> tuple:
+    """A method with this package's step-size control, taken apart, and where tolerances of these shapes are in it."""
+    controller = controller_for(structure, *map(np.ones, shapes))
+    method = RunMethod.of(structure, solver.value, controller, max_steps)
+    leaves, tree = jax.tree.flatten(method)
+    return leaves, tree, [next(i for i, leaf in enumerate(leaves) if leaf is each) for each in method.tolerances]
 
 
 def audit_limits(system: System, rtol, solver: Any) -> Limits:

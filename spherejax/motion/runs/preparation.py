@@ -10,8 +10,8 @@ from collections.abc import Hashable
 from functools import cached_property
 from typing import Any
 
-import diffrax
 import jax
+import numpy as np
 
 from spherejax.foundations.behind_tracers import known_behind
 from spherejax.foundations.checks import is_concrete, is_tracing
@@ -20,21 +20,23 @@ from spherejax.model.renewal import Compilation, Taken
 from spherejax.model.scene import Scene
 from spherejax.model.system import (
     CompiledScene,
+    Structure,
     System,
     compile_scene,
     example_of,
+    numbers_renewed,
     split,
     structure_and_numbers,
     with_laws_by_factor,
 )
 from spherejax.motion.equations.programs import path_of
-from spherejax.motion.solvers.automatic import SolverChoice, choose_solver
+from spherejax.motion.solvers.automatic import SolverChoice, choice_by_structure, choose_solver
 from spherejax.motion.start.doubts import doubts_of
 from spherejax.motion.start.jumps import jump_conditions
-from spherejax.motion.start.start_now import KnownStart, known_start
-from spherejax.motion.start.tolerances import Tolerances, component_tolerances, controller_for
+from spherejax.motion.start.start_now import KnownStart, known_start, usual_start
+from spherejax.motion.start.tolerances import Tolerances, component_tolerances, known_tolerances
 from spherejax.program_cache import memoized
-from spherejax.program_cache.keys import KeyedTree, LruCache, own, value_key
+from spherejax.program_cache.keys import KeyedTree, LruCache, value_key
 
 N_SCENES = 64
 """Prepared scenes that are kept; the least recently used one is evicted."""
@@ -59,9 +61,17 @@ class PreparedScene:
         is_explicit_only: whether the method must be an explicit one.
     """
 
-    def __init__(self, system: Taken, seen: Taken, scalar: bool | None, conditions: list, doubts: tuple[str, ...] = ()):
+    def __init__(
+        self,
+        system: Taken,
+        seen: Taken,
+        scalar: bool | None,
+        conditions: list,
+        doubts: tuple[str, ...] = (),
+        numbers: tuple[Structure, Any] | None = None,
+    ):
         self._taken, self.taken = system, seen
-        self.structure, self.theta = structure_and_numbers(*seen)
+        self.structure, self.theta = structure_and_numbers(*seen) if numbers is None else numbers
         self.path = path_of(self.structure, scalar)
         self.known, self.unknown = (self.theta, ()) if is_concrete(self.theta) else split(seen.leaves)
         self.conditions = conditions
@@ -88,11 +98,16 @@ class PreparedScene:
 
     def leaves(self) -> list:
         """Those of the system."""
-        return list(map(own, self._taken.leaves))
+        return [leaf.copy() if type(leaf) is np.ndarray else leaf for leaf in self._taken.leaves]
 
     def system_of(self, leaves: list) -> System:
         """The system of its leaves."""
         return jax.tree.unflatten(self._taken.tree, leaves)
+
+    @property
+    def tree(self) -> Any:
+        """The structure of the system."""
+        return self._taken.tree
 
     def compilation(self, reading: KeyedTree) -> Compilation | None:
         """That from which other scenes can be renewed, of the scene that was read."""
@@ -141,7 +156,10 @@ def prepared_from(scene: KeyedTree, track_work: bool, scalar: bool | None) -> Pr
         renewed = compilation.renewed(scene)
         if renewed is not None:
             doubts = before.doubts if renewed.doubts_remain else doubts_of(scene.tree, renewed.system.whole())
-            found = PreparedScene(renewed.system, renewed.seen, scalar, renewed.conditions, doubts)
+            numbers = None
+            if scene.key is not None:
+                numbers = numbers_renewed(before.structure, before.theta, renewed.seen.leaves, renewed.changed)
+            found = PreparedScene(renewed.system, renewed.seen, scalar, renewed.conditions, doubts, numbers)
             if scene.key is not None and not is_tracing():
                 _lasts.put(key, (compilation.followed_by(scene, renewed), found))
             return found
@@ -160,26 +178,38 @@ def prepared_system(system: System, scalar: bool | None) -> PreparedScene:
     return PreparedScene.of(CompiledScene(system, []), scalar)
 
 
-@memoized(N_ANSWERS, _by_scene)
 def chosen_method(scene: PreparedScene, rtol: Any) -> SolverChoice:
     """The method that a scene calls for."""
+    by_structure = None if scene.is_explicit_only else choice_by_structure(scene.structure)
+    return by_structure or _method_by_numbers(scene, rtol)
+
+
+@memoized(N_ANSWERS, _by_scene)
+def _method_by_numbers(scene: PreparedScene, rtol: Any) -> SolverChoice:
     return choose_solver(scene.seen, rtol, explicit_only=scene.is_explicit_only)
 
 
 @memoized(N_ANSWERS, _by_scene)
-def scene_tolerances(scene: PreparedScene, rtol: Any) -> tuple[Tolerances, diffrax.PIDController]:
-    """Tolerances by the scales of a scene, and the step-size control with them."""
+def scene_tolerances(scene: PreparedScene, rtol: Any) -> Tolerances:
+    """Tolerances by the scales of a scene."""
     # A run and its derivative are judged by the same numbers: those behind the tracers of `jvp` and `grad`.
+    behind = known_behind((scene.theta, rtol))
+    if len(behind) == 1:
+        theta, known = behind[0]
+        found = known_tolerances(scene.structure, np.asarray(theta), known)
+        if found is not None:
+            return found
     behind = known_behind((scene.seen, rtol))
     system, known = behind[0] if len(behind) == 1 else (scene.seen, rtol)
-    tolerances = component_tolerances(system, known)
-    return tolerances, controller_for(scene.structure, tolerances.rtol, tolerances.atol)
+    return component_tolerances(system, known)
 
 
 @memoized(N_ANSWERS, _by_scene_and_time, copied=True)
 def closed_start(scene: PreparedScene, ts: Numeric) -> KnownStart | None:
     """The consistent start at the first of the times, where it is known, and what is to be said of it."""
-    start = known_start(scene.seen, ts)
+    start = None if scene.unknown else usual_start(scene.structure, scene.theta)
+    if start is None:
+        start = known_start(scene.seen, ts)
     return None if start is None else start._replace(doubts=(*start.doubts, *scene.doubts))
 
 

@@ -3,7 +3,7 @@
 import warnings
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
+from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 import diffrax
@@ -13,9 +13,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from spherejax.foundations.checks import is_concrete, is_tracing
+from spherejax.foundations.checks import called, is_concrete, is_tracing
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.lanes import rows_at
+from spherejax.foundations.remembering.again import again
+from spherejax.foundations.remembering.same import Same
 from spherejax.model.captured import captures_explained
 from spherejax.model.numbers import in_words
 from spherejax.model.scene import Scene
@@ -39,7 +41,6 @@ from spherejax.motion.results.accuracy import Limits, limits_from
 from spherejax.motion.results.stopping import When, conditions_of, stopped
 from spherejax.motion.results.trajectory import Trajectory
 from spherejax.motion.runs.accurate import accurate
-from spherejax.motion.runs.again import again
 from spherejax.motion.runs.method_checks import check_control, check_solver
 from spherejax.motion.runs.preparation import (
     PreparedScene,
@@ -47,18 +48,19 @@ from spherejax.motion.runs.preparation import (
     closed_start,
     conditions_of_jumps,
     prepared,
+    prepared_from,
     scene_tolerances,
 )
 from spherejax.motion.runs.times import sample_times, seconds_of
-from spherejax.motion.settings import DEFAULT_MAX_STEPS, RunSettings
+from spherejax.motion.settings import DEFAULT_MAX_STEPS, RunSettings, settings_from
 from spherejax.motion.solvers.automatic import SolverChoice, choose_solver
 from spherejax.motion.solvers.given_steps import GivenSteps
 from spherejax.motion.solvers.root_finder import with_converging_root_finder
 from spherejax.motion.start.assembly import Assembly
 from spherejax.motion.start.start_now import StartWarning
-from spherejax.motion.start.tolerances import controller_for, tolerances_in_all_units, tolerances_of
+from spherejax.motion.start.tolerances import Tolerances, tolerances_in_all_units, tolerances_of
 from spherejax.program_cache import memoized
-from spherejax.program_cache.keys import own_arrays, value_key
+from spherejax.program_cache.keys import KeyedTree, own_arrays, value_key
 from spherejax.program_cache.user_code import read_once
 from spherejax.runtime import require_float64
 
@@ -161,14 +163,14 @@ def simulate(
         SimulationError: with `throw=True`, for a run that did not reach its end.
     """
     require_float64()
-    settings = RunSettings(
+    settings = settings_from(
         rtol, atol, solver, stepsize_controller, adjoint, derivative_rtol, max_steps, track_work, scalar
     )
     conditions = () if until is None else conditions_of(until)
     ts = ts if saveat is None else sample_times(ts, saveat)
     limits = None if accuracy is None else _limits(scene, ts, accuracy, settings)
     with read_once(), captures_explained([scene]):
-        call = _call(scene, ts, settings)
+        call = _call(KeyedTree(scene), ts, settings)
         for said in call.warnings:
             warnings.warn(said, StartWarning, stacklevel=2)
         run = call.run()
@@ -214,18 +216,19 @@ MOST_TIMES = 4096
 """Sample times of a call that is kept: 64 calls then hold a few megabytes."""
 
 
-def _by_values(scene: Scene, ts: Any, settings: RunSettings) -> Hashable | None:
+def _by_values(scene: KeyedTree, ts: Any, settings: RunSettings) -> Hashable | None:
     """The key of a call; of many sample times, or of a list, which is slow to compare, there is none."""
-    if not isinstance(ts, np.ndarray | jax.Array) or ts.size > MOST_TIMES:
+    if scene.key is None or not isinstance(ts, np.ndarray | jax.Array) or ts.size > MOST_TIMES:
         return None
-    return value_key((scene, ts, settings))
+    others = value_key((ts, settings))
+    return None if others is None else (scene.key, others)
 
 
 @memoized(N_CALLS, _by_values)
-def _call(scene: Scene, ts, settings: RunSettings) -> _Call:
-    """A call of `simulate`; arguments as there."""
-    ts, settings = checked_times(ts), settings.checked()
-    return call_of(prepared(scene, settings.track_work, settings.scalar), None, ts, settings)
+def _call(scene: KeyedTree, ts, settings: RunSettings) -> _Call:
+    """A call of `simulate`; arguments as there, the scene as it was read."""
+    ts, settings = checked_times(ts), called(settings, "checked")
+    return call_of(prepared_from(scene, settings.track_work, settings.scalar), None, ts, settings)
 
 
 class CarriedStart(NamedTuple):
@@ -278,7 +281,7 @@ def call_of(prepared_scene: PreparedScene, carried: CarriedStart | None, ts, set
     from_state = carried is not None and not is_concrete(carried.y)
     plan = Plan(prepared_scene.structure, unknown, path.scalar, from_state)
     # Known times have been checked; here they would be a kernel of their own for each number of samples.
-    conditions = [*prepared_scene.conditions, *settings.traced_conditions(), *traced_times(ts)]
+    conditions = [*prepared_scene.conditions, *called(settings, "traced_conditions"), *traced_times(ts)]
     conditions += conditions_of_jumps(prepared_scene, ts)
     if carried is not None:
         conditions += carried.conditions
@@ -305,7 +308,7 @@ def call_of(prepared_scene: PreparedScene, carried: CarriedStart | None, ts, set
         outcome_of = bound_run(plan, method, inputs)
     bound = bound_in_words(prepared_scene.structure, path.scalar)
     explanation = "; ".join(filter(None, [choice.reason, said, path.reason, bound, in_words(plan.traced)]))
-    settings_of_run = settings.of_run(choice.solver)
+    settings_of_run = called(settings, "of_run", choice.solver)
 
     def run() -> Trajectory:
         try:
@@ -317,28 +320,47 @@ def call_of(prepared_scene: PreparedScene, carried: CarriedStart | None, ts, set
                 f"adjoint={type(adjoint).__name__}() serves reverse mode (jax.grad) only; for forward mode (jax.jvp, "
                 "jax.jacfwd) leave adjoint= out, or pass adjoint=diffrax.ForwardMode()"
             ) from error
-        return made_of(
-            ts, outcome, prepared_scene.leaves(), outcome.assembly if assembly is None else own_arrays(assembly)
-        )
+        begun = outcome.assembly if assembly is None else own_arrays(assembly)
+        made = made_of(ts, outcome, prepared_scene.leaves(), begun)
+        # It was made just now, and nobody else has it. In a constructor it would be static, and each explanation, which
+        # has the tolerances in it, would have it found out anew where leaves go.
+        object.__setattr__(made.stats, "explanation", explanation)
+        return made
+
+    made_of = trajectories(
+        Same(prepared_scene.tree), choice.reason, path.scalar, Same(settings_of_run), carried is not None
+    )
+    return _Call(() if start is None else start.warnings, run)
+
+
+@lru_cache(maxsize=64)
+def trajectories(
+    tree: Same, choice: str, scalar: bool | None, settings: Same, is_continued: bool
+) -> Callable[[Any, Outcome, list, Assembly], Trajectory]:
+    """A function that makes trajectories of all that is static in them, but for the explanation.
+
+    Args:
+        tree: structure of the system.
+        choice, scalar, settings, is_continued: as of `Trajectory`.
+    """
 
     def trajectory(ts, outcome: Outcome, leaves: list, assembly: Assembly) -> Trajectory:
         return Trajectory(
             ts=ts,
             ys=outcome.ys,
-            system=prepared_scene.system_of(leaves),
-            stats=replace(outcome.stats, explanation=explanation),
+            system=jax.tree.unflatten(tree.value, leaves),
+            stats=replace(outcome.stats, explanation=""),
             ended=outcome.status,
             t_reached=outcome.t_reached,
             y_reached=outcome.y_reached,
             assembly=assembly,
-            choice=choice.reason,
-            scalar=path.scalar,
-            settings=settings_of_run,
-            is_continued=carried is not None,
+            choice=choice,
+            scalar=scalar,
+            settings=settings.value,
+            is_continued=is_continued,
         )
 
-    made_of = again(trajectory)
-    return _Call(() if start is None else start.warnings, run)
+    return again(trajectory)
 
 
 def choice_of(prepared_scene: PreparedScene, settings: RunSettings) -> SolverChoice:
@@ -373,12 +395,12 @@ def method_of(
             controller = GivenSteps(controller.ts)
         return RunMethod.of(structure, solver, controller, settings.max_steps), said
     in_numbers = not by_sensitivities and isinstance(choice.solver, diffrax.AbstractImplicitSolver)
-    controller, said = control_of(prepared_scene, settings.rtol, settings.atol, in_numbers)
+    tolerances = run_tolerances(prepared_scene, settings.rtol, settings.atol, in_numbers)
     at_start = choice.at_start if by_sensitivities else None
-    factor = settings.tangent_tolerance_factor()
+    factor = called(settings, "tangent_tolerance_factor")
     # `lanes/first_step.py` for explicit methods, `LandingController.init` for all others.
-    said = f"{said}; first step by trial (Hairer)"
-    return RunMethod.of(structure, solver, controller, settings.max_steps, at_start, factor), said
+    said = f"{tolerances.description}; first step by trial (Hairer)"
+    return RunMethod.of_own_control(structure, solver, tolerances, settings.max_steps, at_start, factor), said
 
 
 def choice_for(
@@ -434,8 +456,8 @@ def traced_times(ts: Float[Array, " n"]) -> list:
     return [] if is_concrete(ts) else [jnp.all(jnp.isfinite(ts)), jnp.all(jnp.diff(ts) >= 0)]
 
 
-def control_of(found: PreparedScene, rtol, atol, in_numbers: bool = False) -> tuple[Any, str]:
-    """The step-size control by the scales of the scene, or by the tolerances that are given, and a word on it.
+def run_tolerances(found: PreparedScene, rtol, atol, in_numbers: bool = False) -> Tolerances:
+    """Tolerances by the scales of the scene, or those that are given.
 
     Args:
         found: the scene.
@@ -443,11 +465,8 @@ def control_of(found: PreparedScene, rtol, atol, in_numbers: bool = False) -> tu
         in_numbers: whether tolerances must be numbers, the same for all entries of the state.
     """
     if atol is None and not in_numbers:
-        tolerances, controller = scene_tolerances(found, rtol)
-    else:
-        tolerances = tolerances_in_all_units(rtol) if atol is None else tolerances_of(found.system(), rtol, atol)
-        controller = controller_for(found.structure, tolerances.rtol, tolerances.atol)
-    return controller, tolerances.description
+        return scene_tolerances(found, rtol)
+    return tolerances_in_all_units(rtol) if atol is None else tolerances_of(found.system(), rtol, atol)
 
 
 def reported(run: Trajectory, throw: bool, *, stacklevel: int = 3) -> Trajectory:

@@ -1,6 +1,7 @@
 """Which integrator a scene gets when the user does not say: the cheaper one by an estimate of what both would cost."""
 
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import diffrax
@@ -8,7 +9,7 @@ import numpy as np
 
 from spherejax.foundations.behind_tracers import known_behind
 from spherejax.foundations.checks import called, is_concrete
-from spherejax.model.system import Structure, System, flatten_system
+from spherejax.model.system import Structure, System, example_of, flatten_system, is_own
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for
 from spherejax.motion.solvers.force_rates import force_rates
@@ -130,6 +131,18 @@ def choose_solver(system: System, rtol=1e-8, *, explicit_only: bool = False) -> 
     known_rtol = max(map(float, known_behind(rtol)), default=1e-8)
     choices = [_choice(known, known_rtol) for known in known_behind(system) or [system]]
     return stiffest(choices)
+
+
+@lru_cache(maxsize=64)
+def choice_by_structure(structure: Structure) -> SolverChoice | None:
+    """The choice for a system in which nothing can be too fast, whatever its numbers; None where they decide."""
+    if structure.code or not is_own(structure.tree):  # what a part says of itself may hang on its numbers
+        return None
+    example = example_of(structure)
+    may_be_stiff = any(_may_be_stiff(called(example, "spherical", name).model) for name in example.force_joints)
+    if may_be_stiff or example.friction_joints or example.forces or example.force_states:
+        return None
+    return SolverChoice(diffrax.Dopri8(), NOTHING_IN_JOINTS)
 
 
 def stiffest(choices: Sequence[SolverChoice]) -> SolverChoice:

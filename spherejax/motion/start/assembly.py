@@ -125,7 +125,7 @@ def _assembled(structure: Structure, numbers: bytes, t: float) -> Assembly:
         # Made where it is needed: of 50 bodies this program and the next take a second each, and most scenes that are
         # described at rest and closed need neither.
         moved = program_for(newton_step, structure).compute(theta, t, moved)
-    if np.any(_velocities(moved)) or structure.system(theta).is_driven:
+    if np.any(_velocities(moved)) or example_of(structure).is_driven:
         moved = program_for(consistent_velocities, structure).compute(theta, t, moved)
     before, gaps = residual.compute(theta, t, described), residual.compute(theta, t, moved)
     assembly = _report(described, moved, _largest(before, np), _largest(gaps, np), np)

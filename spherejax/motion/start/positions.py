@@ -4,12 +4,14 @@ Newton's method closes a mechanism from far away too, but then in another branch
 put it. Small corrections, of printed digits, pass without a word.
 """
 
+import math
 from functools import lru_cache
 
 import numpy as np
 
 from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.types import Scalar
+from spherejax.model.picking import picked
 from spherejax.model.system import Structure, System
 from spherejax.motion.equations.programs import program_for
 from spherejax.motion.start.assembly import Assembly, assembly_residuals, described_state
@@ -37,13 +39,36 @@ def far_distance(system: System, structure: Structure, numbers: np.ndarray) -> f
         system: the system; clearances that are traced are not looked at.
         structure, numbers: the system as if its joints were ideal, taken apart; the numbers are known.
     """
-    size = _largest_body(structure, numbers.tobytes())
+    smallest = min((float(c) for c in clearances_of(system) if is_concrete(c)), default=np.inf)
+    return far_from(largest_body(structure, numbers), smallest)
+
+
+def clearances_of(system: System) -> list:
+    """Of all joints with a model [m]; infinite without."""
     models = [getattr(joint, "model", None) for joint in system.joints.values()]
-    clearances = [getattr(model, "clearance", np.inf) for model in models]
-    smallest = min((float(c) for c in clearances if is_concrete(c)), default=np.inf)
+    return [getattr(model, "clearance", np.inf) for model in models]
+
+
+def far_from(size: float, smallest: float) -> float:
+    """The same, by the size of the largest body and the smallest clearance [m]."""
     if size == SMALLEST_LENGTH and np.isfinite(smallest):
         return CLEARANCE_SHARE * smallest
     return float(np.clip(CLEARANCE_SHARE * smallest, PRINTED_SHARE * size, FAR_SHARE * size))
+
+
+def largest_body(structure: Structure, numbers: np.ndarray) -> float:
+    """The size of the largest body [m]; masses, which do not enter it, are left out where it is remembered."""
+    places = _places_at(structure)
+    if places is not None:
+        numbers = np.where(places, numbers, 0.0)
+    return _largest_body(structure, numbers.tobytes())
+
+
+@lru_cache(maxsize=64)
+def _places_at(structure: Structure) -> np.ndarray | None:
+    """Where places of joints are among the numbers; None where joints have others than they hold."""
+    found = picked(lambda system: [joint.points for joint in system.joints.values()], structure)
+    return None if found is None else found.among(sum(map(math.prod, structure.shapes)))
 
 
 @lru_cache(maxsize=64)
@@ -75,7 +100,7 @@ def moved_bodies(system: System, structure: Structure, numbers, t: float, start:
     """
     moved, turned = np.asarray(start.displacement), np.asarray(start.rotation)
     far = far_distance(system, structure, numbers)
-    shares = np.maximum(moved / far, turned / FAR_TURNED)
+    shares = shares_of(moved, turned, far)
     if not shares.max(initial=0.0) > 1:
         return ""
     geometry = structure.system(numbers)
@@ -94,6 +119,11 @@ def moved_bodies(system: System, structure: Structure, numbers, t: float, start:
         f"where the bodies are described the joints do not close, and the bodies were moved: "
         f"{_listed(list(system.bodies), moved, turned, shares)}. {remedy}."
     )
+
+
+def shares_of(moved: np.ndarray, turned: np.ndarray, far: float) -> np.ndarray:
+    """How far bodies were moved [m] and turned [rad], as shares of what counts as far."""
+    return np.maximum(moved / far, turned / FAR_TURNED)
 
 
 def gaps_described(system: System, t: Scalar, y) -> dict:

@@ -2,23 +2,26 @@
 
 import warnings
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.types import Numeric
+from spherejax.model.picking import Picked, picked
 from spherejax.model.scene import Scene
-from spherejax.model.system import Structure, System, compile_scene, flatten_system
+from spherejax.model.system import Structure, System, compile_scene, example_of, flatten_system, special_in
 from spherejax.motion.equations.friction_judgement import refuse_unsolvable_friction
 from spherejax.motion.start.assembly import Assembly, as_ideal, assemble_now
 from spherejax.motion.start.doubts import doubts_of
 from spherejax.motion.start.driver_conflicts import REMEDY, conflicts_at, refuse_driver_conflicts
 from spherejax.motion.start.locked import locked_motors
-from spherejax.motion.start.positions import moved_bodies
+from spherejax.motion.start.positions import clearances_of, far_from, largest_body, moved_bodies, shares_of
 from spherejax.motion.start.velocities import removed_velocities
 
 
@@ -72,6 +75,56 @@ def start_now(system: System, ts: Numeric, *, stacklevel: int = 3) -> Assembly |
     for said in start.warnings:
         warnings.warn(said, StartWarning, stacklevel=stacklevel)
     return start.assembly
+
+
+class _StartAt:
+    """Where the numbers of a start are, of systems of one structure.
+
+    Attributes:
+        ideal: those of the system as if its joints were ideal.
+        clearances, speeds: of all joints; of all bodies.
+    """
+
+    def __init__(self, ideal: Picked, clearances: Picked, speeds: Picked):
+        self.ideal, self.clearances, self.speeds = ideal, clearances, speeds
+        self._like = Structure(ideal.tree, ideal.shapes, ())
+
+    def structure_for(self, numbers: np.ndarray) -> Structure:
+        """That of the system as if its joints were ideal."""
+        # The one of before where it is the same: its hash is known.
+        self._like = self._like.for_special(tuple(special_in(numbers)))
+        return self._like
+
+
+@lru_cache(maxsize=64)
+def _start_at(structure: Structure) -> _StartAt | None:
+    """None where more of the system has to be looked at: drivers, motors, friction that follows reactions."""
+    speeds = picked(lambda s: [(body.velocity, body.angular_velocity) for body in s.bodies.values()], structure)
+    ideal, clearances = picked(as_ideal, structure), picked(clearances_of, structure)
+    if ideal is None or clearances is None or speeds is None:  # before all other questions: no user code is in it
+        return None
+    example = example_of(structure)
+    if example.is_driven or example.friction_passes or any(force.is_motor for force in example.forces.values()):
+        return None
+    return _StartAt(ideal, clearances, speeds)
+
+
+def usual_start(structure: Structure, theta: Float[np.ndarray, " p"]) -> KnownStart | None:
+    """`known_start` of a system that is taken apart, where nothing is to be said of it; None where it has to be looked
+    at whole.
+
+    Raises:
+        SceneError: for joints that cannot be closed.
+    """
+    at = _start_at(structure)
+    if at is None or at.speeds.flat(theta).any():
+        return None
+    numbers = at.ideal.flat(theta)
+    ideal = at.structure_for(numbers)
+    start = assemble_now(ideal, numbers)
+    far = far_from(largest_body(ideal, numbers), float(min(at.clearances.flat(theta), default=np.inf)))
+    shares = shares_of(np.asarray(start.displacement), np.asarray(start.rotation), far)
+    return None if shares.max(initial=0.0) > 1 else KnownStart(start, ())
 
 
 def known_start(system: System, ts: Numeric) -> KnownStart | None:

@@ -18,7 +18,9 @@ from jaxtyping import Array, Float
 
 from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.types import Number, Numeric, Scalar
+from spherejax.model.picking import Picked, picked
 from spherejax.model.system import Structure, System, example_of
+from spherejax.physics.state import Layout
 from spherejax.program_cache import cached_jit
 
 ABSOLUTE_SHARE = 1e-2
@@ -77,14 +79,62 @@ def component_tolerances(system: System, rtol: Number) -> Tolerances:
 
     A tolerance below what rounding leaves is lifted to it, and the description says so: see `rounding_floor`.
     """
-    is_known = is_concrete(rtol) and all(map(is_concrete, _measures(system)))
-    if is_known:
-        found = _numbers(system, rtol)
-    else:
-        found = _traced_numbers(system, np.asarray(rtol) if is_concrete(rtol) else rtol)
-        # What of it does not hang on what is traced is known.
-        if is_concrete(rtol) and not (system.force_joints and _has_traced_scales(system)):
-            found = found._replace(rtol=_lifted(rtol, rounding_floor(system)))
+    if is_concrete(rtol) and all(map(is_concrete, _measures(system))):
+        return _described(_numbers(system, rtol), rtol, is_known=True)
+    found = _traced_numbers(system, np.asarray(rtol) if is_concrete(rtol) else rtol)
+    # What of it does not hang on what is traced is known.
+    if is_concrete(rtol) and not (system.force_joints and _has_traced_scales(system)):
+        found = found._replace(rtol=_lifted(rtol, rounding_floor(system)))
+    return _described(found, rtol, is_known=False)
+
+
+def known_tolerances(structure: Structure, theta: Float[np.ndarray, " p"], rtol: float) -> Tolerances | None:
+    """`component_tolerances` of a system of known numbers, to the same bits; None where it has to be looked at whole.
+
+    Args:
+        structure, theta: the system, taken apart.
+        rtol: as there.
+    """
+    at = _measured_at(structure)
+    if at is None:
+        return None
+    vectors = [each.flat(theta).reshape(-1, 3) for each in at.vectors]
+    scales = _scales_of(np, vectors, at.clearances.flat(theta))
+    return _described(_numbers_of(at.kinds, scales, at.masses.flat(theta).tolist(), rtol), rtol, is_known=True)
+
+
+class _Measured(NamedTuple):
+    """Where the numbers are that tolerances are made of.
+
+    Attributes:
+        kinds: of the entries of the state.
+        vectors: places, velocities, angular velocities, gravity.
+        clearances, masses: of joints and bodies.
+    """
+
+    kinds: "_Kinds"
+    vectors: tuple[Picked, ...]
+    clearances: Picked
+    masses: Picked
+
+
+@lru_cache(maxsize=64)
+def _measured_at(structure: Structure) -> _Measured | None:
+    """In the numbers of systems of a structure; None where they are not there as they are."""
+    functions = [lambda system, i=i: _lengths_and_speeds(system)[i] for i in range(4)]
+    functions += [lambda system: system.gravity, lambda system: [body.mass for body in system.bodies.values()]]
+    found = [one for one in (picked(function, structure) for function in functions) if one is not None]
+    if len(found) < len(functions):  # before anything else is asked: no user code is in it
+        return None
+    kinds = _kinds_of(example_of(structure))
+    if not all(isinstance(scale, str) for scale in kinds.memory):
+        return None
+    places, velocities, spins, clearances, gravity, masses = found
+    return _Measured(kinds, (places, velocities, spins, gravity), clearances, masses)
+
+
+def _described(found: "_Numbers", rtol: Number, *, is_known: bool) -> Tolerances:
+    """Tolerances, and words on them."""
     text = f"rtol {found.rtol:.0e}" if is_concrete(found.rtol) else "rtol traced"
     if is_concrete(found.rtol) and found.rtol > rtol:
         text = f"rtol {found.rtol:.0e} in place of {rtol:.0e}, which is below rounding"
@@ -128,14 +178,36 @@ class _Numbers(NamedTuple):
     absolute: Any
 
 
+class _Kinds(NamedTuple):
+    """What kinds of entries a state has (static).
+
+    Attributes:
+        layout: where they are.
+        answers_with_force: whether a joint does.
+        memory: scales of what is remembered, in words or numbers.
+    """
+
+    layout: Layout
+    answers_with_force: bool
+    memory: tuple
+
+
+def _kinds_of(system: System) -> _Kinds:
+    memory = tuple(entry.scale for slot in system.all_slots for entry in slot.contents)
+    return _Kinds(system.layout, bool(system.force_joints), memory)
+
+
 def _numbers(system: System, rtol: Number) -> _Numbers:
-    length, speed, clearance = scales = _scales(system)
-    rtol = _lifted(rtol, rounding_floor(system, scales))
-    masses = [body.mass for body in system.bodies.values()]
+    return _numbers_of(_kinds_of(system), _scales(system), [body.mass for body in system.bodies.values()], rtol)
+
+
+def _numbers_of(kinds: _Kinds, scales: tuple, masses: list, rtol: Number) -> _Numbers:
+    length, speed, clearance = scales
+    rtol = _lifted(rtol, _rounding_floor(kinds.answers_with_force, length, clearance))
     xp: Any = np if all(is_concrete(value) for value in (rtol, length, speed, clearance, *masses)) else jnp
     fine = xp.minimum(1.0, CLEARANCES * clearance / length)
     energy = sum(masses) * speed * speed
-    relative = _by_kind(system, xp, fine, 1.0, 1.0, 1.0, 1.0, 1.0)
+    relative = _by_kind(kinds.layout, xp, fine, 1.0, 1.0, 1.0, 1.0, 1.0)
     usual = {
         "length": fine * length,
         "angle": 1.0,
@@ -144,9 +216,11 @@ def _numbers(system: System, rtol: Number) -> _Numbers:
         "force": energy / length,
         "moment": energy,
     }
-    memory = _memory_scales(system, xp, usual)
-    scales = _by_kind(system, xp, fine * length, 1.0, speed, speed / length, memory, energy)
-    return _Numbers(rtol, fine, length, speed, rtol * relative, ABSOLUTE_SHARE * rtol * scales)
+    memory = speed
+    if kinds.memory:
+        memory = xp.stack([xp.asarray(usual.get(scale, scale)) for scale in kinds.memory])
+    absolute = _by_kind(kinds.layout, xp, fine * length, 1.0, speed, speed / length, memory, energy)
+    return _Numbers(rtol, fine, length, speed, rtol * relative, ABSOLUTE_SHARE * rtol * absolute)
 
 
 @cached_jit(what="tolerances")
@@ -156,7 +230,7 @@ def _traced_numbers(system: System, rtol) -> _Numbers:
     return _numbers(system, rtol)
 
 
-def rounding_floor(system: System, scales: tuple | None = None) -> Numeric:
+def rounding_floor(system: System) -> Numeric:
     """The relative tolerance below which steps follow rounding, and their number grows without gain.
 
     A ball's place in its gap is the difference of positions of the length L: it is known to some eps L/c of the
@@ -165,7 +239,13 @@ def rounding_floor(system: System, scales: tuple | None = None) -> Numeric:
     """
     if not system.force_joints:
         return LEAST_ROUNDING
-    length, _, clearance = _scales(system) if scales is None else scales
+    length, _, clearance = _scales(system)
+    return _rounding_floor(True, length, clearance)
+
+
+def _rounding_floor(answers_with_force: bool, length: Numeric, clearance: Numeric) -> Numeric:
+    if not answers_with_force:
+        return LEAST_ROUNDING
     xp: Any = np if is_concrete(length) and is_concrete(clearance) else jnp
     return xp.maximum(ELASTIC_ROUNDING, 3 * ROUNDING * length / clearance)
 
@@ -193,35 +273,33 @@ def energy_scale(system: System) -> Numeric:
     return sum(body.mass for body in system.bodies.values()) * speed * speed
 
 
-def _by_kind(system: System, xp, position, quaternion, velocity, angular_velocity, memory, work) -> Float[Array, " n"]:
+def _by_kind(layout: Layout, xp, position, quaternion, velocity, angular_velocity, memory, work) -> Float[Array, " n"]:
     """The flat vector with one number for each kind of component."""
-    layout = system.layout
     n = layout.n_bodies
     q = xp.concatenate([position * xp.ones((n, 3)), quaternion * xp.ones((n, 4))], 1).ravel()
     v = xp.concatenate([velocity * xp.ones((n, 3)), angular_velocity * xp.ones((n, 3))], 1).ravel()
     return xp.concatenate([q, v, memory * xp.ones(layout.n_memory), work * xp.ones(layout.n_work)])
 
 
-def _memory_scales(system: System, xp, scales: dict[Any, Any]) -> Any:
-    """What counts as one for each memory entry."""
-    entries = [entry for slot in system.all_slots for entry in slot.contents]
-    if not entries:
-        return scales["speed"]
-    return xp.stack([xp.asarray(scales.get(entry.scale, entry.scale)) for entry in entries])
-
-
 def _scales(system: System):
     """Length [m], speed [m/s] and smallest clearance [m] of a scene; the clearance is infinite where there is none."""
-    vectors, velocities, spins, clearances = _lengths_and_speeds(system)
+    places, velocities, spins, clearances = _lengths_and_speeds(system)
     xp: Any = jnp if _has_traced_scales(system) else np
+    vectors = [xp.stack([xp.asarray(v) for v in each]) for each in (places, velocities, spins, [system.gravity])]
+    return _scales_of(xp, vectors, xp.stack([xp.asarray(c) for c in clearances]) if clearances else np.zeros(0))
+
+
+def _scales_of(xp: Any, vectors: list, clearances: Any) -> tuple:
+    """The same of arrays of vectors, shape (n, 3): places, velocities, spins, gravity; and of clearances."""
+    places, velocities, spins, gravity = vectors
 
     def largest(vectors):
-        return xp.max(xp.sqrt(xp.sum(xp.stack([xp.asarray(v) for v in vectors]) ** 2, axis=1)))
+        return xp.max(xp.sqrt(xp.sum(vectors**2, axis=1)))
 
-    length = xp.maximum(largest(vectors), SMALLEST_LENGTH)
-    speed = xp.sqrt(largest([system.gravity]) * length) + largest(velocities) + largest(spins) * length
+    length = xp.maximum(largest(places), SMALLEST_LENGTH)
+    speed = xp.sqrt(largest(gravity) * length) + largest(velocities) + largest(spins) * length
     speed = xp.where(speed > 0, speed, 1.0)
-    clearance = xp.min(xp.stack([xp.asarray(c) for c in clearances])) if clearances else np.inf
+    clearance = xp.min(clearances) if clearances.size else np.inf
     return length, speed, clearance
 
 

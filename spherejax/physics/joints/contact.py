@@ -26,7 +26,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from spherejax.foundations.checks import Requirement, is_concrete
+from spherejax.foundations.checks import Requirement, called, is_concrete
 from spherejax.foundations.numerics import safe_norm
 from spherejax.foundations.types import Matrix3, Number, Scalar, Vector3
 from spherejax.physics import memory as remembered
@@ -107,8 +107,8 @@ class Surfaces(NamedTuple):
                 "be smaller than the socket's radius",
                 "No ball is left inside the socket: reduce the clearance or check its unit.",
             ),
-            *self.socket_material.requirements(),
-            *self.ball_material.requirements(),
+            *called(self.socket_material, "requirements"),
+            *called(self.ball_material, "requirements"),
             *self._requirements_of_depths(),
         ]
 
@@ -407,7 +407,7 @@ def contact_law_requirements(
 ) -> list[Requirement]:
     """What the laws of a contact require, with the law's name in front of each number."""
     laws = [law for law in (normal, friction, conformity) if law is not None]
-    required = [(law, requirement) for law in laws for requirement in law.requirements()]
+    required = [(law, requirement) for law in laws for requirement in called(law, "requirements")]
     found = [r if r.value is law else r._replace(field=f"{type(law).__name__}.{r.field}") for law, r in required]
     if conformity is not None and normal.stiffness is not None:
         name = type(conformity).__name__

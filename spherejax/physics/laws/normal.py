@@ -19,7 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from spherejax.foundations.checks import Requirement, is_concrete
+from spherejax.foundations.checks import Requirement, called, is_concrete
 from spherejax.foundations.legal import non_negative, numeric, positive
 from spherejax.foundations.numerics import positive_power
 from spherejax.foundations.types import Function, Number, Scalar, Unit
@@ -172,7 +172,7 @@ class AbstractHysteresisLaw(AbstractNormalLaw):
                 "lie in (0, 1]",
                 "For a nearly plastic contact give a small positive number; 1 dissipates nothing.",
             ),
-            *self.elastic_requirements(),
+            *called(self, "elastic_requirements"),
         ]
 
     def _function_requirements(self, restitution: AbstractFunction) -> list[Requirement]:
@@ -429,6 +429,8 @@ def by_factor(law: AbstractNormalLaw) -> AbstractNormalLaw:
     if type(law) not in BY_FACTOR or callable(own.restitution):
         return law
     # By NumPy: within `jax.jit` what JAX computes of a known number is known no longer.
-    given = np.asarray(own.restitution, np.float64)[()] if is_concrete(own.restitution) else own.restitution
-    made: Any = type(own)(given)
-    return _Factor(made.hysteresis_factor(), own.stiffness, own.exponent)
+    made: Any = own
+    if type(own.restitution) is not np.float64:
+        given = np.asarray(own.restitution, np.float64)[()] if is_concrete(own.restitution) else own.restitution
+        made = type(own)(given)
+    return _Factor(called(made, "hysteresis_factor"), own.stiffness, own.exponent)

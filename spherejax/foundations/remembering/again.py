@@ -6,6 +6,9 @@ from typing import Any
 
 import jax
 
+KNOWN = 8
+"""Structures of arguments that are remembered, the last ones."""
+
 
 class _Mark:
     """Stands for a leaf of the arguments of `again`."""
@@ -38,7 +41,7 @@ def again(make: Callable[..., Any]) -> Callable[..., Any]:
         marks = map(_Mark, range(len(leaves)))
         found, tree = jax.tree.flatten(make(*jax.tree.unflatten(structure, marks)))
         if all(isinstance(leaf, _Mark) for leaf in found):
-            known[:] = [([mark.place for mark in found], tree, structure)]
+            known[:] = [([mark.place for mark in found], tree, structure), *known[: KNOWN - 1]]
         return make(*arguments)
 
     return made

@@ -1,0 +1,82 @@
+"""Numbers that a function only picks out of a system: found once for a structure, then read off its vector at once.
+
+A system of marks goes through the function. What comes out are marks, in the places of the numbers that it picks, and
+constants. Whoever computes with a mark, compares it or asks for its truth, gets an error: of such a function nothing is
+known beyond the one system.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.core
+import numpy as np
+
+from spherejax.foundations.forms import is_numeric
+from spherejax.model.system import Structure, System, is_own
+
+
+class _Number:
+    """Stands for a number or an array of a system; it can be handed on, and nothing else."""
+
+    __slots__ = ("place",)
+
+    def __init__(self, place: int):
+        self.place = place
+
+    def _refuse(self, *_: Any) -> Any:
+        raise TypeError("a mark is no number")
+
+    __eq__ = __ne__ = __lt__ = __le__ = __gt__ = __ge__ = _refuse
+    __bool__ = __float__ = __len__ = __iter__ = __array__ = __jax_array__ = _refuse
+    __hash__ = object.__hash__
+
+
+class Picked:
+    """What a function picks out of systems of one structure.
+
+    Attributes:
+        tree, shapes: of what it returns.
+    """
+
+    def __init__(self, tree: Any, places: list[np.ndarray], constants: np.ndarray):
+        self.tree, self.shapes = tree, tuple(place.shape for place in places)
+        self._places, self._constants = places, constants
+        self._flat = np.concatenate([np.zeros(0, int), *(place.ravel() for place in places)])
+
+    def flat(self, theta: np.ndarray) -> np.ndarray:
+        """All of the numbers, one after the other, from those of the system."""
+        numbers = np.concatenate([theta, self._constants]) if self._constants.size else theta
+        return numbers[self._flat]
+
+    def among(self, n: int) -> np.ndarray:
+        """Which of n numbers of a system are picked."""
+        found = np.zeros(n, bool)
+        found[self._flat[self._flat < n]] = True
+        return found
+
+
+def picked(function: Callable[[System], Any], structure: Structure) -> Picked | None:
+    """What a function picks; None for one that does more than that, and where user code may say what it does."""
+    if structure.code or not is_own(structure.tree):
+        return None
+    sizes = [int(np.prod(shape)) for shape in structure.shapes]
+    starts = np.cumsum([0, *sizes])
+    marks = [_Number(place) for place in range(len(sizes))]
+    try:
+        leaves, tree = jax.tree.flatten(function(jax.tree.unflatten(structure.tree, marks)))
+    except Exception:  # it asks for more than a mark can answer
+        return None
+    places, constants = [], []
+    for leaf in leaves:
+        if isinstance(leaf, _Number):
+            first, last = starts[leaf.place], starts[leaf.place + 1]
+            places.append(np.arange(first, last).reshape(structure.shapes[leaf.place]))
+        elif is_numeric(leaf) and not isinstance(leaf, jax.core.Tracer):
+            value = np.asarray(leaf, np.float64)
+            first = starts[-1] + sum(map(np.size, constants))
+            places.append(first + np.arange(value.size).reshape(value.shape))
+            constants.append(value.ravel())
+        else:
+            return None
+    return Picked(tree, places, np.concatenate([np.zeros(0), *constants]))
