@@ -1028,6 +1028,52 @@ def worn_bush() -> Figure:
     return figure
 
 
+def worn_along() -> Figure:
+    """Bearing of the page's shaft that tilts: its depth along the axis with the cycles, and around it in the end."""
+    page = (FOLDER.parent / "concepts" / "wear.md").read_text()
+    code = page.split("## Wear along the axis")[1].split("```python\n")[1]
+    names: dict = {"sj": sj, "np": np, "jnp": jnp}
+    exec(code.split("run = ")[0], names)
+    turn = names["turn"]
+    worn = sj.studies.wear_in(
+        names["tilted"],
+        "pin",
+        np.linspace(0.0, 0.1 + turn, 21),
+        k_socket=1e-13,
+        k_ball=0.0,
+        window=(0.1, 0.1 + turn),
+        cycles=1200.0,
+        foundation=1e12,
+        rtol=1e-8,
+    ).wear
+    figure, (left, right) = plt.subplots(
+        1, 2, figsize=(8.6, 3.4), layout="constrained", width_ratios=(1, 1.2)
+    )
+    along = 1e3 * worn.along
+    for block, cycles in list(enumerate(worn.cycles))[2::2]:
+        shade = plt.get_cmap("viridis_r")(cycles / worn.cycles[-1])
+        deepest = 1e6 * worn.depth("socket", block).max(axis=1)
+        left.plot(along, deepest, "o-", ms=4, color=shade, label=f"{cycles:.0f} cycles")
+    left.set(xlabel="place along the axis [mm]", ylabel="largest depth [µm]")
+    left.set_ylim(bottom=0)
+    left.legend(fontsize=8, frameon=False)
+    u = worn.directions[0]
+    angles = np.degrees(np.arctan2(u[:, 1], u[:, 0])) % 360
+    order = np.argsort(angles)
+    shades = plt.get_cmap("plasma")(np.linspace(0, 0.85, len(along)))
+    for place, depth, shade in zip(along, worn.depth("socket"), shades, strict=True):
+        label = f"{place + 0.0:.1f} mm"
+        right.plot(angles[order], 1e6 * depth[order], color=shade, label=label)
+    right.set(
+        xlabel="angle in the bearing from the joint's x axis [degrees]",
+        ylabel="depth [µm]",
+        xlim=(120, 240),
+    )
+    right.set_ylim(bottom=0)
+    right.legend(fontsize=8, frameon=False, title="along the axis", title_fontsize=8)
+    return figure
+
+
 def friction_band() -> Figure:
     """The lamp of the page on bands of friction: efforts that move it, and where it stays by itself."""
     source = (FOLDER.parent / "howto" / "friction_band.md").read_text()
@@ -1115,6 +1161,7 @@ PICTURES: dict[str, Callable[[], Figure | Image.Image]] = {
     "inverse_dynamics": inverse_dynamics,
     "friction_band": friction_band,
     "worn_bush": worn_bush,
+    "worn_along": worn_along,
     "end_compliance": end_compliance,
     **{f"scene_{name}": scene(name) for name in sj.gallery.__all__},
 }

@@ -12,11 +12,10 @@ from scipy.optimize import brentq
 import spherejax as sj
 from spherejax.physics.laws.depth import harmonics
 from spherejax.physics.laws.wear import foundation_depth
-from spherejax.studies.wear.charts import SphereChart
 from spherejax.studies.wear.deposit import Maps
 from spherejax.studies.wear.gap import fitted, misfit
-from spherejax.studies.wear.rubbing import cycle_of, shape_of
 from spherejax.studies.wear.sphere import cell_solid_angle, centers
+from spherejax.studies.wear.study import contact_surface, cycles_of
 
 module = importlib.import_module("spherejax.studies.wear.wear_in")  # the package has the function by this name
 
@@ -62,13 +61,12 @@ def worn():
 @pytest.fixture(scope="module")
 def cycle():
     """The first cycle."""
-    study = module._WearStudy(
-        scene(), "joint", TS, OPTIONS["window"], FOUNDATION, None, SphereChart, 8, 0.0, {"rtol": 1e-8}
-    )
-    run = study.run_on(None)
-    model = run.system.spherical("joint").model
-    chart = SphereChart(CELLS)
-    return cycle_of("joint", study.surface(run)[1], study.contacts(run), chart, (K, 0.0), shape_of(model, chart))
+    return first_cycle().parts[0]
+
+
+def first_cycle(cells=CELLS):
+    run = sj.simulate(scene(), TS, rtol=1e-8)
+    return cycles_of(run, contact_surface(run, "joint", None), (K, 0.0), OPTIONS["window"], FOUNDATION, cells)
 
 
 def near(value, rel):
@@ -159,15 +157,9 @@ def test_maps_that_lose_something_are_an_error(worn, monkeypatch):
 
 
 def _cycle(worn):
-    study = module._WearStudy(
-        scene(), "joint", TS, OPTIONS["window"], FOUNDATION, None, SphereChart, 8, 0.0, {"rtol": 1e-8}
-    )
-    run, chart = study.run_on(None), SphereChart(CELLS)
-    shape = shape_of(scene().joints["joint"].model, chart)
-    return cycle_of("joint", study.surface(run)[1], study.contacts(run), chart, (K, 0.0), shape)
+    return first_cycle(worn.wear.cells)
 
 
-@pytest.mark.slow
 def test_errors_of_blocks_are_held(worn):
     assert len(worn.blocks) > 3
     assert 0 < worn.error.max() <= 0.02

@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
@@ -50,9 +51,10 @@ class WearRing(NamedTuple):
     Attributes:
         name: of the side and its body.
         angles: of the cells around the axis [degrees], rising.
-        depths: of them [um].
+        depths: of them, in each plane along the axis [um].
         volumes: along the cycles [mm^3].
         deepest: along the cycles [um].
+        planes: where they are along the axis, in words; empty where there is one depth all along.
     """
 
     name: str
@@ -60,6 +62,7 @@ class WearRing(NamedTuple):
     depths: np.ndarray
     volumes: np.ndarray
     deepest: np.ndarray
+    planes: tuple[str, ...] = ()
 
 
 def wear_figure(maps: Sequence[WearMap | WearRing], cycles: np.ndarray, title: str) -> Figure:
@@ -131,8 +134,14 @@ def _draw_ring(ax: Axes, one: WearRing) -> None:
     ax.set_title(one.name, loc="left", fontsize=9)
     ax.set(xlim=(-180, 180), xticks=range(-180, 181, 90), xlabel="angle from the joint's x axis [degrees]")
     ax.set_ylabel("depth [$\\mu$m]")
-    ax.fill_between(one.angles, one.depths, color=LAW_COLORS[0], alpha=0.2, lw=0)
-    ax.plot(one.angles, one.depths, color=LAW_COLORS[0], lw=1.3)
+    if one.planes:
+        shades = colormaps["viridis"](np.linspace(0.0, 0.85, len(one.planes)))
+        for name, depths, shade in zip(one.planes, one.depths, shades, strict=True):
+            ax.plot(one.angles, depths, color=shade, lw=1.3, label=name)
+        ax.legend(fontsize=7, frameon=False, title="along the axis", title_fontsize=7)
+    else:
+        ax.fill_between(one.angles, one.depths[0], color=LAW_COLORS[0], alpha=0.2, lw=0)
+        ax.plot(one.angles, one.depths[0], color=LAW_COLORS[0], lw=1.3)
     ax.set_ylim(0, None)
     if not np.any(one.depths > 0):
         ax.set_ylim(0, 1)

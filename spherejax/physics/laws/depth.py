@@ -273,6 +273,11 @@ class LegendreFourierDepth(eqx.Module):
         """K + 1."""
         return np.shape(self.coefficients)[0]
 
+    @property
+    def mean(self) -> Number:
+        """a_00, over the whole bearing [m]."""
+        return jnp.asarray(self.coefficients)[0, 0]
+
     def at(self, place: float) -> FourierDepth:
         """The depth around the axis at a place along it, -1 at the first end and 1 at the second."""
         polynomials = np.polynomial.legendre.legvander(np.asarray([place]), self.rows - 1)[0]

@@ -1,8 +1,8 @@
 """Maps of a surface, with what a foundation does on it: of a ball and its socket, or of a journal and its bearing.
 
 A ball's chart is a square of n times n cells of equal area, onto which the sphere is folded; a journal's is a ring of n
-cells around the axis, each as long as the bearing. Places on both are unit vectors from the center: in the axes of the
-body for a ball, across z for a journal.
+cells around the axis, each as long as the bearing; that of a journal that tilts has such a ring for each plane. Places
+on all are unit vectors from the center: in the axes of the body for a ball, across z for a journal.
 """
 
 import abc
@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from spherejax.foundations.types import Numeric, Scalar
+from spherejax.physics.joints.rim import lobatto
 from spherejax.physics.laws.conformity import AbstractConformity
 from spherejax.physics.laws.cylinders import AbstractCylinder
 from spherejax.physics.laws.depth import (
@@ -22,6 +23,7 @@ from spherejax.physics.laws.depth import (
     AbstractDepth,
     FourierDepth,
     HarmonicDepth,
+    LegendreFourierDepth,
     grid_of,
     harmonics,
     waves,
@@ -120,6 +122,15 @@ class AbstractChart(abc.ABC):
     @abc.abstractmethod
     def share(self) -> float:
         """Of each cell of the unit sphere [sr], or of the circle [rad]."""
+
+    @property
+    def cell_shares(self) -> Float[np.ndarray, "*shape"]:
+        """Of each cell of what is laid out, in an array of the shape of a map, or one that is broadcast to it."""
+        return np.full((1,) * len(self.shape), self.share)
+
+    def total(self, values: Numeric) -> float:
+        """Sum of a map's cells, each times its share."""
+        return float(np.sum(np.asarray(values))) * self.share
 
     @property
     @abc.abstractmethod
@@ -389,6 +400,53 @@ class CircleChart(AbstractChart):
     def degree_of(coefficients):
         """M, of 2 M + 1 coefficients."""
         return np.size(coefficients) // 2
+
+
+@dataclass(frozen=True)
+class AxialChart(CircleChart):
+    """Of a bearing whose depth changes along its axis: rings in the planes of a journal that tilts.
+
+    Attributes:
+        n: cells around.
+        planes: how many there are along the axis; each stands for its share of the length by Lobatto's rule.
+    """
+
+    planes: int = 2
+
+    @property
+    def shape(self):
+        """Planes along the axis, n around it."""
+        return (self.planes, self.n)
+
+    @property
+    def places(self) -> Float[np.ndarray, " planes"]:
+        """Of the planes along the axis, from -1 at the first end to 1 at the second."""
+        return lobatto(self.planes)[0]
+
+    @property
+    def cell_shares(self):
+        """2 pi/n times the share of the length [rad]."""
+        return (2 * np.pi / self.n) * lobatto(self.planes)[1][:, None]
+
+    def total(self, values):
+        """By the shares of the planes."""
+        return float(np.sum(np.asarray(values).reshape(self.shape) * self.cell_shares))
+
+    @property
+    def centers(self):
+        """Unit vectors to the cells, across z, plane by plane."""
+        return np.tile(CircleChart(self.n).centers, (self.planes, 1))
+
+    def at(self, values: Numeric, place: float) -> Float[np.ndarray, " n"]:
+        """A map's cells around the axis at a place along it, by the polynomial through the planes."""
+        k = self.planes - 1
+        along = np.polynomial.legendre.legvander(np.array([place]), k)
+        weights = along @ np.linalg.inv(np.polynomial.legendre.legvander(self.places, k))
+        return (weights @ np.asarray(values).reshape(self.shape))[0]
+
+    def profile(self, coefficients):  # type: ignore[override]
+        """A Fourier series in each plane, and the polynomial along the axis through them."""
+        return LegendreFourierDepth.through(self.places, [FourierDepth(row) for row in np.asarray(coefficients)])
 
 
 def chart_of(is_ball: bool, n: int) -> AbstractChart:

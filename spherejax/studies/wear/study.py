@@ -11,11 +11,11 @@ from spherejax.foundations.errors import SceneError, one_of
 from spherejax.foundations.legal import non_negative, positive
 from spherejax.motion.results.trajectory import Trajectory
 from spherejax.physics.joints.journal import PlacedJournal
-from spherejax.physics.laws.cylinders import AbstractCylinder
-from spherejax.studies.wear.charts import AbstractChart, CircleChart, Joint, SphereChart
+from spherejax.studies.wear.charts import AbstractChart
 from spherejax.studies.wear.contacts import ContactInstants, contacts_of
 from spherejax.studies.wear.cycles import Worn, over_cycles
 from spherejax.studies.wear.deposit import Maps, rubbed
+from spherejax.studies.wear.planes import RubbingCycles, Surface, names_of, surface_of
 from spherejax.studies.wear.rubbing import RubbingCycle, conserved, cycle_of, no_wear, require_expected, shape_of
 from spherejax.studies.wear.wear_result import Checks, Wear, WearWarning
 
@@ -58,7 +58,8 @@ def wear(
     Args:
         run: a single run that reached its end.
         joint: a spherical or revolute joint with contact (`Dry`, or the contact of `Lubricated`). The socket's side is
-            the bearing's, the ball's the journal's.
+            the bearing's, the ball's the journal's. Of a journal that tilts the name that was given to
+            `sj.joints.tilting_journal`: its planes wear together.
 
     Other args:
         k_socket, k_ball: wear coefficients of the socket's and the ball's material [m^2/N], 0 for one that does not
@@ -69,7 +70,7 @@ def wear(
             E (1 - nu)/((1 + nu) (1 - 2 nu) t). None: at each instant as stiff as makes the patch on unworn surfaces as
             wide as Hertz's: of a ball's at the run's penetration, of a journal's at its force, with the law of a
             cylinder; beside a given stiffness, as soft as lets a journal go in as far as the run says.
-        length: of a bearing [m]; that of the contact's law where None.
+        length: of a bearing [m]; that of the contact's law where None. Of a journal that tilts its planes say it.
         cells: of each map, along each side of the square on which the sphere is laid out, or around a bearing; chosen
             where None so that a typical patch has four from its middle to its edge, of a bearing sixteen.
         largest_block: by how much a block of cycles may deepen any place, as a share of the clearance.
@@ -81,26 +82,23 @@ def wear(
         SceneError: for a request that cannot be answered, before anything is computed.
         SimulationError: where a check of conservation fails.
 
-    Limits: the wear of a journal is the same all along its bearing; a rim of a journal that tilts is refused. The order
-    of c/R is left out. Along the contact's direction the pressure carries the run's normal force;
-    what is left across it on worn surfaces is told, not balanced. Force, direction and sliding are those of the run for
-    all cycles: once the wear is as deep as a good part of the clearance, take `sj.studies.wear_in`, or simulate again
-    with `effective_clearance`. Rubbed off material is gone. The numbers are concrete, and the result is not traced: for
-    derivatives by k take differences, one run serves all of them.
+    Limits: the wear of a parallel journal is the same all along its bearing; that of one that tilts is known in its
+    planes, and between them by the polynomial through them. The order of c/R is left out. Along the contact's direction
+    the pressure carries the run's normal force; what is left across it on worn surfaces is told, not balanced. Force,
+    direction and sliding are those of the run for all cycles: once the wear is as deep as a good part of the
+    clearance, take `sj.studies.wear_in`, or simulate again with `effective_clearance`. Rubbed off material is gone. The
+    numbers are concrete, and the result is not traced: for derivatives by k take differences, one run serves all of
+    them.
 
     Source: Archard (1953); blocks of cycles after Mukras et al. (2009), see `spherejax.studies.wear.cycles`.
     """
-    model = contact_model(run, joint)
-    surface = surface_of(run, joint, length)
+    surface = contact_surface(run, joint, length)
     coefficients = check_numbers(joint, k_socket, k_ball, cycles, foundation, largest_block)
-    check_cells(joint, cells, surface[0])
+    check_cells(joint, cells, surface.kind)
     window = checked_window(run, window)
-    ball_counts = ball_matters(model, k_ball)
-    contacts = contacts_of(run.system, run._steps, joint, window, run.scalar, surface, foundation, ball_counts)
-    chart = chart_for(surface[0], contacts, cells)
-    cycle = cycle_of(joint, surface[1], contacts, chart, coefficients, shape_of(model, chart))
+    cycle = cycles_of(run, surface, coefficients, window, foundation, cells)
     checks = checks_of(cycle)
-    states, diagnosis = over_cycles(cycle.rate, no_wear(chart), float(cycles), largest_block * float(model.clearance))
+    states, diagnosis = over_cycles(cycle.rate, cycle.unworn, float(cycles), largest_block * cycle.clearance)
     remarks = [*remarks_on(cycle, checks, diagnosis), *_on_the_motion(cycle, states)]
     found = result_of(run, cycle, states, checks, diagnosis, remarks)
     for text in found.remarks:
@@ -111,49 +109,17 @@ def wear(
 # What is asked for ----------------------------------------------------------------------------------------------------
 
 
-def contact_model(run: Trajectory, joint: str) -> Any:
-    """The model of a joint that can wear, of a run that reached its end."""
+def contact_surface(run: Trajectory, joint: str, length: float | None) -> Surface:
+    """What wears of a joint, of a run that reached its end."""
     if not isinstance(run, Trajectory):
         raise SceneError(f"wear takes a run, what sj.simulate returns, and not {type(run).__name__}")
     if not is_concrete(run.ys) or np.ndim(run.ys) != 2:
         raise SceneError("wear is of a single run, outside of jit and vmap; take one lane of the batch first")
-    if joint not in run.system.contact_joints:
-        known = list(run.system.contact_joints)
+    known = list(run.system.contact_joints)
+    if names_of(joint, known)[0] not in known:
         raise SceneError(f"joint {joint!r} has no contact that could wear; {one_of(known, str(joint))}")
-    model: Any = run.system.spherical(joint).model
     run.require_success()
-    return model
-
-
-def surface_of(run: Trajectory, joint: str, length: float | None) -> tuple[type[AbstractChart], Joint]:
-    """The kind of a joint's maps, and its geometry.
-
-    Raises:
-        SceneError: for a rim, and for a length that is missing, or that a ball has not.
-    """
-    placed = run.system.spherical(joint)
-    model: Any = placed.model
-    clearance, radius = jnp.asarray(float(model.clearance)), jnp.asarray(float(model.socket_radius))
-    if length is not None:
-        if isinstance(length, bool | str) or not is_concrete(length) or np.ndim(length) != 0:
-            raise SceneError(f"wear of joint {joint!r}: length = {length!r} must be a number")
-        enforce(f"wear of joint {joint!r}", [positive("length", length, "m")])
-    if placed.is_ball:
-        if length is not None:
-            raise SceneError(f"wear of joint {joint!r}: it is a ball in its socket, which has no length=; leave it out")
-        return SphereChart, Joint(clearance, radius, radius)
-    if not placed.is_parallel:
-        raise SceneError(
-            f"joint {joint!r} is a rim of a journal that tilts: the wear along such a bearing is not modelled. Take a "
-            "Revolute joint, whose journal stays parallel"
-        )
-    if length is None:
-        if not isinstance(model.conformity, AbstractCylinder):
-            raise SceneError(
-                f"wear of joint {joint!r}: how long its bearing is does not follow from its stiffness; give length= [m]"
-            )
-        length = float(model.conformity.length)
-    return CircleChart, Joint(clearance, radius, jnp.asarray(float(length)))
+    return surface_of(run.system, joint, length)
 
 
 def ball_matters(model: Any, k_ball: float) -> bool:
@@ -212,19 +178,40 @@ def checked_window(run: Trajectory, window) -> tuple[float, float] | None:
     return first, last
 
 
-def chart_for(kind: type[AbstractChart], contacts: ContactInstants, cells: int | None) -> AbstractChart:
-    """With as many cells as are asked for, or as resolve a typical patch, the mean over the load."""
+def contacts_in(run: Trajectory, surface: Surface, k_ball: float, window, foundation) -> list[ContactInstants]:
+    """The contacts of a run's cycle, part by part."""
+    found = []
+    for name, geometry in surface.parts:
+        counts = ball_matters(run.system.spherical(name).model, k_ball)
+        own = surface.kind, geometry
+        found.append(contacts_of(run.system, run._steps, name, window, run.scalar, own, foundation, counts))
+    return found
+
+
+def cycles_of(run: Trajectory, surface: Surface, coefficients, window, foundation, cells: int | None) -> RubbingCycles:
+    """The cycle that a run has told, on maps with as many cells as are asked for, or as resolve a typical patch."""
+    contacts = contacts_in(run, surface, coefficients[1], window, foundation)
+    chart = surface.kind(_cells_for(surface.kind, contacts, cells))
+    parts = []
+    for (name, geometry), own in zip(surface.parts, contacts, strict=True):
+        model: Any = run.system.spherical(name).model
+        parts.append(cycle_of(name, geometry, own, chart, coefficients, shape_of(model, chart)))
+    return RubbingCycles(surface.joint, tuple(parts), surface.chart(chart.n), surface.area)
+
+
+def _cells_for(kind: type[AbstractChart], contacts: list[ContactInstants], cells: int | None) -> int:
     if cells is not None:
-        return kind(int(cells))
-    if not len(contacts.duration):
-        return kind(kind.usual_cells[0])
-    return kind(kind.cells_for(_typical_half_angle(contacts)))
+        return int(cells)
+    if not any(len(own.duration) for own in contacts):
+        return kind.usual_cells[0]
+    return kind.cells_for(_typical_half_angle(contacts))
 
 
-def _typical_half_angle(contacts: ContactInstants) -> float:
+def _typical_half_angle(contacts: list[ContactInstants]) -> float:
     """Mean half angle of the patches over the load [rad]."""
-    impulse = np.asarray(contacts.contact.force) * contacts.duration
-    return float(impulse @ contacts.half_angle / impulse.sum()) if impulse.any() else float(contacts.half_angle.mean())
+    impulse = np.concatenate([np.asarray(own.contact.force) * own.duration for own in contacts])
+    half_angle = np.concatenate([own.half_angle for own in contacts])
+    return float(impulse @ half_angle / impulse.sum()) if impulse.any() else float(half_angle.mean())
 
 
 # What is checked ------------------------------------------------------------------------------------------------------
@@ -239,15 +226,34 @@ def _elsewhere(work: Maps, other: Maps, coefficients: tuple[float, float]) -> fl
     )
 
 
-def checks_of(cycle: RubbingCycle) -> Checks:
-    """What is checked of a first cycle, on surfaces that are not worn yet.
+def checks_of(cycle: RubbingCycles) -> Checks:
+    """What is checked of a first cycle, on surfaces that are not worn yet; of several contacts the mean over the work.
 
     Raises:
         SimulationError: where something is not conserved.
     """
-    contacts, chart = cycle.contacts, cycle.chart
-    if not len(contacts.duration):
+    found = [_checks_of_part(part) for part in cycle.rubbing]
+    if not found:
         return Checks(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, np.inf, 0, 0)
+    if len(found) == 1:
+        return found[0]
+    work = np.array([each.rubbed for each in found])
+    share = work / max(work.sum(), np.finfo(float).tiny)
+    return Checks(
+        lost=max(each.lost for each in found),
+        unbalanced=max(each.unbalanced for each in found),
+        slid=sum(each.slid for each in found),
+        rubbed=float(work.sum()),
+        time_error=float(share @ [each.time_error for each in found]),
+        gathering=float(share @ [each.gathering for each in found]),
+        cells_per_patch=float(share @ [each.cells_per_patch for each in found]),
+        instants=sum(each.instants for each in found),
+        gathered=sum(each.gathered for each in found),
+    )
+
+
+def _checks_of_part(cycle: RubbingCycle) -> Checks:
+    contacts, chart = cycle.contacts, cycle.chart
     work, told = cycle.rubbed(no_wear(chart))
     elsewhere = _elsewhere(work, rubbed(cycle.shape, *contacts.coarser, cycle.geometry, chart)[0], cycle.coefficients)
     lost, unbalanced = conserved(cycle.joint, work, told, contacts)
@@ -261,9 +267,9 @@ def checks_of(cycle: RubbingCycle) -> Checks:
     )
 
 
-def remarks_on(cycle: RubbingCycle, checks: Checks, diagnosis: str) -> list[str]:
+def remarks_on(cycle: RubbingCycles, checks: Checks, diagnosis: str) -> list[str]:
     """What else should be known of a study, as texts."""
-    joint, contacts = cycle.joint, cycle.contacts
+    joint, contacts = cycle.joint, [part.contacts for part in cycle.rubbing]
     remarks = []
     if diagnosis:
         remarks.append(f"wear of joint {joint!r}: {diagnosis}")
@@ -283,7 +289,7 @@ def remarks_on(cycle: RubbingCycle, checks: Checks, diagnosis: str) -> list[str]
             f"wear of joint {joint!r}: a typical patch is {checks.cells_per_patch:.2g} cells from its middle to its "
             "edge; volumes are right, depths are means over what cells cover. Ask for more cells"
         )
-    if len(contacts.duration) and (typical := _typical_half_angle(contacts)) > WIDE:
+    if contacts and (typical := _typical_half_angle(contacts)) > WIDE:
         remarks.append(
             f"wear of joint {joint!r}: a typical patch reaches {np.degrees(typical):.3g} degrees from its middle, "
             "almost half of all around: the surfaces are soft for their load. Check the unit of foundation=, N/m^3"
@@ -291,9 +297,9 @@ def remarks_on(cycle: RubbingCycle, checks: Checks, diagnosis: str) -> list[str]
     return remarks
 
 
-def _on_the_motion(cycle: RubbingCycle, states: list[Worn]) -> list[str]:
+def _on_the_motion(cycle: RubbingCycles, states: list[Worn]) -> list[str]:
     """A word where the wear is deep, and the motion would be another."""
-    clearance = float(cycle.geometry.clearance)
+    clearance = cycle.clearance
     deepest = max(float(jnp.max(each)) for each in states[-1].depth)
     if deepest <= DEEP * clearance:
         return []
@@ -304,18 +310,21 @@ def _on_the_motion(cycle: RubbingCycle, states: list[Worn]) -> list[str]:
     ]
 
 
-def result_of(run: Trajectory, cycle: RubbingCycle, states, checks: Checks, diagnosis: str, remarks: list[str]) -> Wear:
+def result_of(
+    run: Trajectory, cycle: RubbingCycles, states, checks: Checks, diagnosis: str, remarks: list[str]
+) -> Wear:
     """Everything together."""
+    first = cycle.parts[0]
     return Wear(
         joint=cycle.joint,
-        bodies=run.system.spherical(cycle.joint).bodies,
+        bodies=run.system.spherical(first.joint).bodies,
         coefficients=cycle.coefficients,
-        clearance=float(cycle.geometry.clearance),
-        radius=float(cycle.geometry.radius),
+        clearance=cycle.clearance,
+        radius=float(first.geometry.radius),
         chart=cycle.chart,
-        area=float(cycle.geometry.area),
-        axes=axes_of(run, cycle.joint),
-        span=cycle.contacts.span,
+        area=cycle.area,
+        axes=axes_of(run, first.joint),
+        span=first.contacts.span,
         states=tuple(states),
         checks=checks,
         diagnosis=diagnosis,

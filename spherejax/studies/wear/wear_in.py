@@ -27,25 +27,26 @@ from spherejax.motion.integration.status import SimulationError
 from spherejax.motion.results.trajectory import Trajectory
 from spherejax.motion.runs.simulate import simulate
 from spherejax.physics.joints.dry import Dry
+from spherejax.physics.joints.rim import Rim
 from spherejax.physics.joints.spherical import Spherical
 from spherejax.studies.progress import telling
-from spherejax.studies.wear.charts import AbstractChart, CircleChart, Joint, SphereChart
-from spherejax.studies.wear.contacts import contacts_of
+from spherejax.studies.wear.charts import AbstractChart, CircleChart, SphereChart
+from spherejax.studies.wear.contacts import ContactInstants
 from spherejax.studies.wear.cycles import Rate, Worn, over_cycles
 from spherejax.studies.wear.deposit import Maps
 from spherejax.studies.wear.gap import Profiles, fitted, misfit
-from spherejax.studies.wear.rubbing import LOST, RubbingCycle, cycle_of, no_wear, shape_of
+from spherejax.studies.wear.planes import RubbingCycles, Surface, names_of
+from spherejax.studies.wear.rubbing import LOST, RubbingCycle, cycle_of
 from spherejax.studies.wear.study import (
-    ball_matters,
-    chart_for,
     check_cells,
     check_numbers,
     checked_window,
     checks_of,
-    contact_model,
+    contact_surface,
+    contacts_in,
+    cycles_of,
     remarks_on,
     result_of,
-    surface_of,
 )
 from spherejax.studies.wear.wear_in_result import WearBlock, WearIn
 from spherejax.studies.wear.wear_result import WearWarning
@@ -95,7 +96,8 @@ def wear_in(
 
     Args:
         scene: what is simulated.
-        joint: a spherical or revolute joint with a `Dry` model.
+        joint: a spherical or revolute joint with a `Dry` model; of a journal that tilts the name that was given to
+            `sj.joints.tilting_journal`. Each of its planes has a profile of its own, and the bearing alone wears.
         ts: sample times of a run [s]: from the start of the scene to the end of a cycle.
 
     Other args:
@@ -128,24 +130,23 @@ def wear_in(
     scene does. Numbers are concrete, and the result is not traced.
     """
     coefficients = check_numbers(joint, k_socket, k_ball, cycles, foundation, largest_block)
-    kind = _check(scene, joint, degree, tolerance)
+    names = names_of(joint, getattr(scene, "joints", ()))
+    kind = _check(scene, joint, names, k_ball, degree, tolerance)
     check_cells(joint, cells, kind)
     degree = kind.degree if degree is None else degree
-    study = _WearStudy(scene, joint, ts, window, foundation, length, kind, degree, coefficients[1], options)
+    study = _WearStudy(scene, names, ts, window, foundation, kind, degree, coefficients[1], options)
     with telling(progress, "wear") as tell:
         tell("the first cycle")
         run = study.run_on(None)
-        run.require_success()
-        model: Any = contact_model(run, joint)
-        contacts = study.contacts(run)
-        if not len(contacts.duration):
+        surface = contact_surface(run, joint, length)
+        cycle = cycles_of(run, surface, coefficients, checked_window(run, window), foundation, cells)
+        if not cycle.rubbing:
             raise SceneError(f"joint {joint!r}: nothing rubs in the cycle, so nothing wears; choose another window=")
-        chart = chart_for(kind, contacts, cells)
-        cycle = cycle_of(joint, study.surface(run)[1], contacts, chart, coefficients, shape_of(model, chart))
         checks = checks_of(cycle)
-        here = Worn(0.0, no_wear(chart), cycle.rate(no_wear(chart)))
+        here = Worn(0.0, cycle.unworn, cycle.rate(cycle.unworn))
+        profiles = (Profiles(None, None),) * len(names)
         states, blocks = [here], [WearBlock(None, None, 0.0, 0.0, *_of_motion(cycle))]
-        largest_step = largest_block * float(model.clearance)
+        largest_step = largest_block * cycle.clearance
         block, diagnosis, failures = LARGEST_SHARE * cycles, "", 0
         for tries in range(MOST_TRIES + 1):
             if here.cycles >= cycles:
@@ -161,7 +162,7 @@ def wear_in(
             block = left if left < block * (1 + 1e-9) else block
             tell(f"{here.cycles:.4g} of {cycles:.4g} cycles, a block of {block:.3g}")
             try:
-                tried = _block(study, cycle, here, block, largest_step)
+                tried = _block(study, surface, cycle, here, profiles, block, largest_step)
             except _StoppedError as failure:
                 failures += 1
                 if failures > MOST_FAILURES:
@@ -176,7 +177,7 @@ def wear_in(
             at = cycles if block == left else here.cycles + block
             here = tried.worn._replace(cycles=at)
             _require_kept(cycle, here)
-            cycle, run = tried.cycle, tried.run
+            cycle, run, profiles = tried.cycle, tried.run, tried.profiles
             states.append(here)
             blocks.append(tried.told)
             longer = min(LONGEST, 0.8 * np.sqrt(tolerance / max(tried.error, 1e-6)))
@@ -185,9 +186,7 @@ def wear_in(
     maps = result_of(run, cycle, states, checks, diagnosis, remarks)
     for text in remarks:
         warnings.warn(text, WearWarning, stacklevel=2)
-    last = blocks[-1]
-    worn_scene = study.scene_with(Profiles(last.socket, last.ball))
-    return WearIn(maps, tuple(blocks), int(degree), worn_scene, run)
+    return WearIn(maps, tuple(blocks), int(degree), study.scene_with(profiles), run)
 
 
 # A block --------------------------------------------------------------------------------------------------------------
@@ -198,62 +197,70 @@ class _StoppedError(Exception):
 
 
 class _WearStudy(NamedTuple):
-    """The scene with its joint, and how it is simulated."""
+    """The scene with its joint, or the planes of its journal, and how it is simulated."""
 
     scene: Scene
-    joint: str
+    names: tuple[str, ...]
     ts: Any
     window: Any
     foundation: float | None
-    length: float | None
     kind: type[AbstractChart]
     degree: int
     k_ball: float
     options: dict[str, Any]
 
-    def scene_with(self, profiles: Profiles | None) -> Scene:
-        """The scene with profiles in place of its joint's depths; with None as it is."""
-        if profiles is None or (profiles.socket is None and profiles.ball is None):
-            return self.scene
-        depths = [None if a is None else self.kind.profile(a) for a in (profiles.socket, profiles.ball)]
+    def scene_with(self, profiles: tuple[Profiles, ...] | None) -> Scene:
+        """The scene with profiles in place of its joint's depths; what has none, and all with None, as it is."""
+        scene = self.scene
+        for name, own in zip(self.names, profiles or (), strict=False):
+            if own.socket is None and own.ball is None:
+                continue
+            depths = [None if a is None else self.kind.profile(a) for a in own]
 
-        def depths_of(scene):
-            model = scene.joints[self.joint].model
-            return [model.socket_depth, model.ball_depth]
+            def depths_of(scene, name=name):
+                model = scene.joints[name].model
+                return [model.socket_depth, model.ball_depth]
 
-        return eqx.tree_at(depths_of, self.scene, depths, is_leaf=lambda leaf: leaf is None)
+            scene = eqx.tree_at(depths_of, scene, depths, is_leaf=lambda leaf: leaf is None)
+        return scene
 
-    def run_on(self, profiles: Profiles | None) -> Trajectory:
+    def run_on(self, profiles: tuple[Profiles, ...] | None) -> Trajectory:
         """A run on surfaces with these profiles."""
         return simulate(self.scene_with(profiles), self.ts, **self.options)
 
-    def surface(self, run: Trajectory) -> tuple[type[AbstractChart], Joint]:
-        """The kind of the maps, and the joint's geometry."""
-        return surface_of(run, self.joint, self.length)
+    def cycle(self, run: Trajectory, surface: Surface, before: RubbingCycles) -> RubbingCycles:
+        """The cycle of a run, on the maps of the one before."""
+        contacts = contacts_in(run, surface, self.k_ball, checked_window(run, self.window), self.foundation)
+        parts = [_with_contacts(part, own) for part, own in zip(before.parts, contacts, strict=True)]
+        return before._replace(parts=tuple(parts))
 
-    def contacts(self, run: Trajectory):
-        """The contacts of a run's cycle."""
-        window = checked_window(run, self.window)
-        model: Any = run.system.spherical(self.joint).model
-        counts = ball_matters(model, self.k_ball)
-        return contacts_of(
-            run.system, run._steps, self.joint, window, run.scalar, self.surface(run), self.foundation, counts
-        )
+
+def _with_contacts(part: RubbingCycle, contacts: ContactInstants) -> RubbingCycle:
+    return cycle_of(part.joint, part.geometry, contacts, part.chart, part.coefficients, part.shape)
 
 
 class _TriedBlock(NamedTuple):
     """A block that was made, with the cycle that is simulated at its end."""
 
     worn: Worn
-    cycle: RubbingCycle
+    cycle: RubbingCycles
     run: Trajectory
+    profiles: tuple[Profiles, ...]
     error: float
     told: WearBlock
 
 
-def _block(study: _WearStudy, cycle: RubbingCycle, here: Worn, block: float, largest_step: float) -> _TriedBlock:
+def _block(
+    study: _WearStudy,
+    surface: Surface,
+    cycle: RubbingCycles,
+    here: Worn,
+    profiles: tuple[Profiles, ...],
+    block: float,
+    largest_step: float,
+) -> _TriedBlock:
     first = _extrapolated(cycle.rate, here.depth, block, largest_step)
-    after, _, _ = _simulated(study, cycle, first.depth)
+    after, _, between = _simulated(study, surface, (cycle, cycle), first.depth, profiles)
 
     def mean_rate(depth: Maps) -> Rate:
         return _mean(cycle.rate(depth), after.rate(depth))
@@ -262,13 +269,13 @@ def _block(study: _WearStudy, cycle: RubbingCycle, here: Worn, block: float, lar
     apart = max(float(jnp.max(jnp.abs(a - b))) for a, b in zip(first.depth, second.depth, strict=True))
     # Wear of a millionth of the clearance changes no motion; where next to nothing rubs, depths are rounding.
     deepest = max(float(jnp.max(each)) for each in second.depth)
-    error = apart / max(deepest, NEGLIGIBLE * float(cycle.geometry.clearance))
-    end, run, profiles = _simulated(study, after, second.depth)
+    error = apart / max(deepest, NEGLIGIBLE * cycle.clearance)
+    end, run, profiles = _simulated(study, surface, (after, cycle), second.depth, between)
     volume = here.volume[0] + second.volume[0], here.volume[1] + second.volume[1]
     worn = Worn(0.0, second.depth, end.rate(second.depth), volume)
     # How well the profiles serve is asked of the contacts that they have led to.
-    off = misfit(end, end.rubbed(second.depth)[1], profiles)
-    return _TriedBlock(worn, end, run, error, WearBlock(*profiles, off, error, *_of_motion(end)))
+    told = WearBlock(*_told_of(profiles), _misfit(end, second.depth, profiles), error, *_of_motion(end))
+    return _TriedBlock(worn, end, run, profiles, error, told)
 
 
 def _extrapolated(rate, depth: Maps, block: float, largest_step: float) -> Worn:
@@ -284,45 +291,90 @@ def _mean(one: Rate, other: Rate) -> Rate:
     return Rate(depth, 0.5 * (one.approach + other.approach), 0.5 * (one.aside + other.aside), (socket, ball))
 
 
-def _simulated(study: _WearStudy, cycle: RubbingCycle, depth: Maps) -> tuple[RubbingCycle, Trajectory, Profiles]:
-    """The cycle on worn surfaces; where the surfaces meet, and how loaded, says the cycle before."""
-    profiles = fitted(cycle, depth, cycle.rubbed(depth)[1], study.degree)
+def _simulated(
+    study: _WearStudy,
+    surface: Surface,
+    cycles: tuple[RubbingCycles, RubbingCycles],
+    depth: Maps,
+    profiles: tuple[Profiles, ...],
+) -> tuple[RubbingCycles, Trajectory, tuple[Profiles, ...]]:
+    """The cycle on worn surfaces; where the surfaces meet, and how loaded, says the cycle before.
+
+    A plane that touches in the first of `cycles` no more is fitted by the second; one that touches in neither keeps its
+    profile, for it has not worn.
+    """
+    last, earlier = cycles
+    maps, fresh = last.split(depth), []
+    for one, other, own, old in zip(last.parts, earlier.parts, maps, profiles, strict=True):
+        by = one if len(one.contacts.duration) else other
+        touches = len(by.contacts.duration) > 0
+        fresh.append(fitted(by, own, by.rubbed(own)[1], study.degree) if touches else old)
+    profiles = tuple(fresh)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             run = study.run_on(profiles)
         if not run.succeeded:
             raise _StoppedError(run.diagnosis)
-        contacts = study.contacts(run)
+        after = study.cycle(run, surface, last)
     except SceneError as error:
         raise _StoppedError(str(error)) from error
-    if not len(contacts.duration):
+    if not after.rubbing:
         raise _StoppedError("nothing rubs in the cycle any more")
-    after = cycle_of(cycle.joint, cycle.geometry, contacts, cycle.chart, cycle.coefficients, cycle.shape)
     return after, run, profiles
 
 
-def _of_motion(cycle: RubbingCycle) -> tuple[float, float]:
+def _misfit(cycle: RubbingCycles, depth: Maps, profiles: tuple[Profiles, ...]) -> float:
+    """Of all parts, by their rubbing work [m]."""
+    work, squares = 0.0, 0.0
+    for part, own, profile in zip(cycle.parts, cycle.split(depth), profiles, strict=True):
+        if not len(part.contacts.duration):
+            continue
+        told = part.rubbed(own)[1]
+        share = float(told.power @ part.contacts.duration)
+        work, squares = work + share, squares + share * misfit(part, told, profile) ** 2
+    return float(np.sqrt(squares / max(work, np.finfo(float).tiny)))
+
+
+def _told_of(profiles: tuple[Profiles, ...]) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """Coefficients of both sides: in a row, or by plane of a journal that tilts, where round planes have zeros."""
+    if len(profiles) == 1:
+        return profiles[0]
+    sides = []
+    for rows in zip(*profiles, strict=True):
+        size = max((len(row) for row in rows if row is not None), default=0)
+        sides.append(np.stack([np.zeros(size) if row is None else row for row in rows]) if size else None)
+    return sides[0], sides[1]
+
+
+def _of_motion(cycle: RubbingCycles) -> tuple[float, float]:
     """Impulse of the normal force in a cycle [N s], and work of the sliding in the contacts' middles [J]."""
-    return cycle.contacts.impulse, cycle.contacts.slid
+    contacts = [part.contacts for part in cycle.parts]
+    return sum(own.impulse for own in contacts), sum(own.slid for own in contacts)
 
 
 # What is asked for, and what is checked -------------------------------------------------------------------------------
 
 
-def _check(scene: Any, joint: Any, degree: Any, tolerance: Any) -> type[AbstractChart]:
+def _check(scene: Any, joint: Any, names: tuple[str, ...], k_ball, degree: Any, tolerance: Any) -> type[AbstractChart]:
     """What can be answered before anything is simulated; the kind of the joint's maps."""
     if not isinstance(scene, Scene):
         raise SceneError(f"wear_in takes a scene, which it simulates again and again, and not {type(scene).__name__}")
-    if joint not in scene.joints:
+    if names[0] not in scene.joints:
         raise SceneError(f"there is no joint {joint!r}; {one_of(list(scene.joints), str(joint))}")
-    model = getattr(scene.joints[joint], "model", None)
-    if not isinstance(model, Dry):
+    for name in names:
+        model = getattr(scene.joints[name], "model", None)
+        if not isinstance(model, Dry):
+            raise SceneError(
+                f"joint {name!r}: its model is {type(model).__name__}, and surfaces that wear in the motion are those "
+                "of Dry; for the contact of a lubricated joint take sj.wear"
+            )
+    if isinstance(scene.joints[names[0]], Rim) and k_ball > 0:
         raise SceneError(
-            f"joint {joint!r}: its model is {type(model).__name__}, and surfaces that wear in the motion are those of "
-            "Dry; for the contact of a lubricated joint take sj.wear"
+            f"wear of joint {joint!r}: k_ball = {k_ball!r} m^2/N, and a journal that tilts has no motion here once it "
+            "is not round. Give k_ball=0.0, or take sj.wear, which tells how much the journal loses"
         )
-    kind = SphereChart if isinstance(scene.joints[joint], Spherical) else CircleChart
+    kind = SphereChart if isinstance(scene.joints[names[0]], Spherical) else CircleChart
     if degree is not None:
         whole_number("degree", degree, "Give the degree of the harmonics, e.g. degree=8.")
         if degree > kind.largest_degree:
@@ -333,10 +385,10 @@ def _check(scene: Any, joint: Any, degree: Any, tolerance: Any) -> type[Abstract
     return kind
 
 
-def _require_kept(cycle: RubbingCycle, worn: Worn) -> None:
+def _require_kept(cycle: RubbingCycles, worn: Worn) -> None:
     """Whether the maps hold all that was rubbed off since the start."""
     for each, volume in zip(worn.depth, worn.volume, strict=True):
-        there = float(jnp.sum(each)) * cycle.cell_area
+        there = cycle.chart.total(each) * cycle.area
         if not abs(there - volume) <= LOST * volume:
             raise SimulationError(
                 f"wear of joint {cycle.joint!r} is not conserved: {volume:.12g} m^3 were rubbed off, and the maps hold "
@@ -344,10 +396,10 @@ def _require_kept(cycle: RubbingCycle, worn: Worn) -> None:
             )
 
 
-def _on_the_fit(cycle: RubbingCycle, worn: Worn, blocks: list[WearBlock]) -> list[str]:
+def _on_the_fit(cycle: RubbingCycles, worn: Worn, blocks: list[WearBlock]) -> list[str]:
     far = abs(worn.rate.approach)
     off = blocks[-1].misfit
-    if off <= max(ILL_FITTED * far, NEGLIGIBLE * float(cycle.geometry.clearance)):
+    if off <= max(ILL_FITTED * far, NEGLIGIBLE * cycle.clearance):
         return []
     return [
         f"wear of joint {cycle.joint!r}: the profiles that the motion feels are off by {off:.3g} m in the contacts, "

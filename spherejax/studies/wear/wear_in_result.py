@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from spherejax.model.scene import Scene
 from spherejax.motion.results.trajectory import Trajectory
-from spherejax.physics.laws.depth import AbstractDepth
+from spherejax.physics.laws.depth import AbstractDepth, LegendreFourierDepth
 from spherejax.studies.wear.wear_result import SIDES, Wear
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ class WearBlock(NamedTuple):
 
     Attributes:
         socket: coefficients of the socket's profile that the motion feels, as of `HarmonicDepth` or of a journal's
-            `FourierDepth` [m]; None: round.
+            `FourierDepth` [m]; of a journal that tilts a row for each plane; None: round.
         ball: those of the ball.
         misfit: root mean square over the contacts, by their rubbing work, of how much farther the ball goes on the maps
             than on the profiles [m].
@@ -32,8 +32,8 @@ class WearBlock(NamedTuple):
         slid: integral of F_n |v_s| dt in the contacts' middles in a cycle [J].
     """
 
-    socket: Float[np.ndarray, " k"] | None
-    ball: Float[np.ndarray, " k"] | None
+    socket: Float[np.ndarray, "*planes k"] | None
+    ball: Float[np.ndarray, "*planes k"] | None
     misfit: float
     error: float
     impulse: float
@@ -96,8 +96,11 @@ class WearIn:
         large."""
         return np.array([block.error for block in self.blocks])
 
-    def profile(self, side: str, block: int = -1) -> AbstractDepth | None:
-        """The depth of a side that the motion feels; None where it is round."""
+    def profile(self, side: str, block: int = -1) -> AbstractDepth | LegendreFourierDepth | None:
+        """The depth of a side that the motion feels; None where it is round.
+
+        Of a journal that tilts it is that of its planes, and between them of the polynomial through them.
+        """
         coefficients = self.blocks[block].socket if side == "socket" else self.blocks[block].ball
         self.wear.depth(side)  # answers a side that is none
         return None if coefficients is None else self.wear.chart.profile(coefficients)
@@ -108,7 +111,8 @@ class WearIn:
         Profiles follow how far the ball goes, which the walls of a pocket hold up: they need not hold its volume.
         """
         profile = self.profile(side)
-        mean = float(np.mean(self.depth(side)))
+        chart = self.wear.chart
+        mean = chart.total(self.depth(side)) / chart.total(np.ones(chart.shape))
         return 0.0 if profile is None or mean == 0 else float(profile.mean) / mean - 1.0
 
     def to_xarray(self) -> "xarray.Dataset":
@@ -125,9 +129,11 @@ class WearIn:
         size = self.wear.chart.harmonics(self.wear.chart.centers[:1], self.degree).shape[1]
         for side in SIDES:
             rows = [getattr(block, side) for block in self.blocks]
-            values = np.stack([np.zeros(size) if row is None else row for row in rows])
+            shape = (*self.wear.chart.shape[:-1], size) if self.wear.is_axial else (size,)
+            values = np.stack([np.zeros(shape) if row is None else row for row in rows])
             what = f"harmonics of the {side}'s depth that the motion feels"
-            data[f"{side}_profile"] = ("cycle", "harmonic"), values, {"units": "m", "long_name": what}
+            dims = ("cycle", "plane", "harmonic") if self.wear.is_axial else ("cycle", "harmonic")
+            data[f"{side}_profile"] = dims, values, {"units": "m", "long_name": what}
         return data
 
     def save(self, path: str | os.PathLike, *, overwrite: bool = False) -> Path:

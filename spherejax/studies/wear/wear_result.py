@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from spherejax.foundations.errors import SceneError
 from spherejax.motion.results.dataset import AXES
-from spherejax.studies.wear.charts import AbstractChart
+from spherejax.studies.wear.charts import AbstractChart, AxialChart, CircleChart
 from spherejax.studies.wear.cycles import Worn
 
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ class Wear:
         clearance: c of the unworn joint [m].
         radius: R of the socket [m].
         chart: of the maps.
-        area: of what a chart lays out as its unit [m^2]: R^2 of a ball, R L of a journal.
+        area: of what a chart lays out as its unit [m^2]: R^2 of a ball, R L of a journal, and of all its planes.
         axes: of the maps of both sides in those of their bodies, as columns: a journal's z is along its axis.
         span: first and last instant of the cycle [s].
         states: of wear, after each block of cycles.
@@ -106,12 +106,27 @@ class Wear:
         return names[_number(side)]
 
     @property
-    def cell_area(self) -> float:
-        """[m^2]."""
-        return self.area * self.chart.share
+    def cell_area(self) -> float | Float[np.ndarray, "planes 1"]:
+        """[m^2]; of a journal that tilts by plane."""
+        return self.area * (self.chart.cell_shares if self.is_axial else self.chart.share)
+
+    @property
+    def is_axial(self) -> bool:
+        """Whether it is of a journal that tilts, and has a map for each plane along the axis."""
+        return isinstance(self.chart, AxialChart)
+
+    @property
+    def length(self) -> float | None:
+        """Of the bearing [m]; None of a ball."""
+        return None if self.chart.is_ball else self.area / self.radius
+
+    @property
+    def along(self) -> Float[np.ndarray, " planes"] | None:
+        """Places of the planes of a journal that tilts along the axis, from the middle of its bearing [m], or None."""
+        return 0.5 * self.area / self.radius * self.chart.places if isinstance(self.chart, AxialChart) else None
 
     def depth(self, side: str, block: int = -1) -> Float[np.ndarray, "*shape"]:
-        """Depth of wear of each cell [m], shape (n, n), or (n,) around a bearing.
+        """Depth of wear of each cell [m], shape (n, n), or (n,) around a bearing; (planes, n) where the journal tilts.
 
         Args:
             side: "socket" or "ball".
@@ -130,19 +145,45 @@ class Wear:
         """
         return self.chart.centers.reshape(*self.chart.shape, 3)
 
-    def depth_at(self, side: str, u: Float[np.ndarray, "q 3"], block: int = -1) -> Float[np.ndarray, " q"]:
+    def depth_at(
+        self, side: str, u: Float[np.ndarray, "q 3"], block: int = -1, *, along: float | None = None
+    ) -> Float[np.ndarray, " q"]:
         """Depth of wear at unit vectors in the axes of the side's body [m], interpolated between the cells.
 
         Around a bearing the part of the vectors across its axis counts.
+
+        Args:
+            side: "socket" or "ball".
+            u: unit vectors.
+            block: number of the state; the last one where it is not given.
+            along: of a journal that tilts the place along its axis, from the middle of the bearing [m]; between the
+                planes by the polynomial through them. Left out for others.
+
+        Raises:
+            SceneError: for another side, and for a place that is missing, beyond the bearing, or not asked for.
         """
         u = np.asarray(u, float) @ self.axes[_number(side)]
         u = u / np.linalg.norm(u, axis=-1, keepdims=True)
-        found = self.chart.sampled(np.asarray(self.depth(side, block)).ravel(), u.reshape(-1, 3))
+        chart, values = self._ring_at(np.asarray(self.depth(side, block)), along)
+        found = chart.sampled(values.ravel(), u.reshape(-1, 3))
         return np.asarray(found).reshape(u.shape[:-1])
+
+    def _ring_at(self, values: np.ndarray, along: float | None) -> tuple[AbstractChart, np.ndarray]:
+        if not isinstance(self.chart, AxialChart):
+            if along is not None:
+                raise SceneError(f"wear of joint {self.joint!r}: it is the same along the axis; leave along= out")
+            return self.chart, values
+        half = 0.5 * self.area / self.radius
+        if along is None or not abs(along) <= half * (1 + 1e-9):
+            raise SceneError(
+                f"wear of joint {self.joint!r}: along = {along!r} must be a place along the axis from {-half:.6g} to "
+                f"{half:.6g} m; its planes are at {', '.join(f'{half * place:.6g}' for place in self.chart.places)} m"
+            )
+        return CircleChart(self.chart.n), self.chart.at(values, along / half)
 
     def volumes(self, side: str) -> Float[np.ndarray, " b"]:
         """What was rubbed off until each of `cycles` [m^3]."""
-        return self._of_all(side, np.sum) * self.cell_area
+        return self._of_all(side, self.chart.total) * self.area
 
     def deepest(self, side: str) -> Float[np.ndarray, " b"]:
         """Largest depth at each of `cycles` [m]."""
@@ -155,8 +196,7 @@ class Wear:
     @property
     def volume_per_cycle(self) -> dict[str, float]:
         """What the first cycle rubs off each side [m^3]."""
-        sums = {s: float(np.sum(np.asarray(self.states[0].rate.depth[_number(s)]))) for s in SIDES}
-        return {s: total * self.cell_area for s, total in sums.items()}
+        return {s: self.chart.total(self.states[0].rate.depth[_number(s)]) * self.area for s in SIDES}
 
     def depth_per_cycle(self, side: str, block: int = 0) -> Float[np.ndarray, "*shape"]:
         """What a cycle deepens each cell by [m]; of the first cycle where no block is given."""
@@ -176,7 +216,6 @@ class Wear:
         """Maps, and volumes and depths along the cycles, with units."""
         import xarray
 
-        rows = np.arange(self.cells)
         columns = {}
         for name, values, unit, what in (
             ("volume", self.volumes, "m^3", "rubbed off"),
@@ -187,7 +226,7 @@ class Wear:
             ("cycle",), self.effective_clearance, _words("m", "clearance of an unworn joint that gives way as far")
         )  # fmt: skip
         columns["aside"] = ("cycle",), self.aside, _words("1", "unbalanced resultant across, over the normal force")
-        places = ("row", "column") if self.chart.is_ball else ("around",)
+        places = ("row", "column") if self.chart.is_ball else ("plane", "around") if self.is_axial else ("around",)
         on_map = "side", *places
         depths = np.stack([self.depth(s) for s in SIDES])
         columns["depth"] = on_map, depths, _words("m", "depth of wear after all cycles")
@@ -201,16 +240,19 @@ class Wear:
             "side": list(SIDES),
             "body": ("side", list(self.bodies)),
             "k": ("side", np.array(self.coefficients), _words("m^2/N", "wear coefficient")),
-            **{place: rows for place in places},
+            **{place: np.arange(count) for place, count in zip(places, self.chart.shape, strict=True)},
             "axis": list(AXES),
         }
+        if self.along is not None:
+            columns["along"] = ("plane",), self.along, _words("m", "place of the plane from the middle of the bearing")
+            columns["cell_area"] = ("plane",), np.ravel(self.cell_area), _words("m^2", "area of a cell of the plane")
         attributes = {
             "joint": self.joint,
             "clearance": self.clearance,
             "socket_radius": self.radius,
             "cycle_begins": self.span[0],
             "cycle_ends": self.span[1],
-            "cell_area": self.cell_area,
+            **({} if self.is_axial else {"cell_area": self.cell_area}),
             **{f"check_{name}": value for name, value in self.checks._asdict().items()},
             "remarks": " ".join(self.remarks) or "none",
         }
@@ -259,6 +301,11 @@ def _text_of(worn: Wear) -> str:
             f"{worn.called(side)} ({body}, k = {k:.3g} m^2/N): {worn.volumes(side)[-1]:.4g} m^3 rubbed off, "
             f"{worn.deepest(side)[-1]:.4g} m deep; the first cycle {worn.volume_per_cycle[side]:.4g} m^3"
         )
+    if worn.along is not None:
+        side = max(SIDES, key=lambda s: worn.deepest(s)[-1])
+        deepest = ", ".join(f"{depth:.3g}" for depth in worn.depth(side).max(axis=1))
+        places = ", ".join(f"{1e3 * place:.3g}" for place in worn.along)
+        lines.append(f"along the axis, at {places} mm from the middle of the bearing: {deepest} m deep")
     lines.append(
         f"effective clearance {worn.effective_clearance[-1]:.4g} m, at first {worn.clearance:.4g} m; force across the "
         f"contacts' directions {100 * worn.aside[-1]:.2g} % of the normal one"
@@ -278,10 +325,13 @@ def _figure_of(worn: Wear) -> "Figure":
     maps: list[WearMap | WearRing] = []
     for side, body in zip(SIDES, worn.bodies, strict=True):
         if not worn.chart.is_ball:
-            angles = np.degrees(np.arctan2(worn.directions[:, 1], worn.directions[:, 0]))
+            directions = worn.directions.reshape(-1, worn.cells, 3)[0]
+            angles = np.degrees(np.arctan2(directions[:, 1], directions[:, 0]))
             order, name = np.argsort(angles), worn.called(side)
-            depths, along = 1e6 * worn.depth(side)[order], (1e9 * worn.volumes(side), 1e6 * worn.deepest(side))
-            maps.append(WearRing(f"{name}, body {body!r}", angles[order], depths, *along))
+            depths = 1e6 * worn.depth(side).reshape(-1, worn.cells)[:, order]
+            planes = () if worn.along is None else tuple(f"{1e3 * place + 0.0:.3g} mm" for place in worn.along)
+            along = 1e9 * worn.volumes(side), 1e6 * worn.deepest(side)
+            maps.append(WearRing(f"{name}, body {body!r}", angles[order], depths, *along, planes))
             continue
         maps.append(
             WearMap(
