@@ -211,6 +211,168 @@ def conformity() -> Figure:
     return figure
 
 
+ROSS_WARMTH = (
+    (
+        12.53,
+        13.17,
+        13.67,
+        14.06,
+        14.38,
+        14.63,
+        14.83,
+        15.0,
+        15.15,
+        15.28,
+        15.4,
+        15.5,
+        15.59,
+        15.68,
+        15.77,
+        15.85,
+        15.94,
+        16.02,
+        16.11,
+        16.2,
+        16.3,
+    ),
+    (
+        6.27,
+        6.49,
+        6.73,
+        6.99,
+        7.28,
+        7.62,
+        8.03,
+        8.51,
+        9.08,
+        9.76,
+        10.56,
+        11.48,
+        12.51,
+        13.67,
+        14.92,
+        16.23,
+        17.52,
+        18.74,
+        19.82,
+        20.7,
+        21.4,
+    ),
+)
+"""Rise above the inlet [K] in the middle of both pads, upper one first, at 21 places each: `tm` of ROSS's
+tests/data/fluid_film/fixed_adiabatic.json (github.com/petrobras/ross)."""
+
+ROSS_PRESSURE = (
+    0.0,
+    0.175,
+    0.35,
+    0.534,
+    0.737,
+    0.969,
+    1.237,
+    1.545,
+    1.888,
+    2.246,
+    2.573,
+    2.793,
+    2.802,
+    2.508,
+    1.9,
+    1.115,
+    0.404,
+    0.0,
+    0.0,
+    0.0,
+    0.0,
+)
+"""Of the lower pad, `pc` [MPa]."""
+
+
+def bearing_heat() -> Figure:
+    """Temperature, pressure and filled share of the gap round ROSS's bearing, unrolled from groove to groove."""
+    radius, length, clearance, speed, n = 0.2, 0.263144, 1.94564e-4, 94.24778, 32
+    load, inlet, capacity = 112814.9, 323.0, 854.9516 * 1951.5015
+    beta = np.log(0.01901574 / 0.007715233) / 30.0
+    film = sj.laws.LinedBearing(
+        length,
+        sj.laws.WinklerLiner(2e13, 0.3, 1e-3),
+        n,
+        grooves=2,
+        groove_angle=np.pi / 2,
+        groove_width=np.radians(4.0),
+    )
+    heat = sj.laws.BearingHeat(
+        sj.laws.ReynoldsViscosity(beta, 322.98333),
+        capacity,
+        inlet_temperature=inlet,
+        start_temperature=336.0,
+    )
+    model = sj.Lubricated(
+        clearance,
+        0.01901574,
+        socket_radius=radius,
+        film=film,
+        conformity=sj.laws.JohnsonCylinder(length),
+        heat=heat,
+        e_h0=0.0,
+        e_h1=0.0,
+    )
+    scene = sj.gallery.journal_bearing(model, load=load, speed=speed)
+    run = sj.simulate(scene, [0.0, 0.5, 1.0], rtol=1e-6, throw=True)
+    memory = run.memory("bearing")
+    rise = np.array([memory[f"oil_warming_{i}"][-1] for i in range(n)]) + 336.0 - inlet
+    w = np.array([memory[f"deflection_{i}"][-1] for i in range(n)])
+    pressure = np.maximum(w, 0.0) * float(film.liner.foundation()) / 1e6
+    # The first point lies at the groove to the left, before the lower pad.
+    places = np.arange(n) * 360.0 / n
+    e = np.asarray(run.eccentricity("bearing"))[-1] / clearance
+    world = np.radians(180.0 + places)
+    gap = 1.0 - e[0] * np.cos(world) - e[1] * np.sin(world)
+    # Oil at a point is the mean of what arrives and what leaves, half a step on; a groove fills the gap.
+    missing = 0.4 * np.minimum(w, 0.0) / clearance
+    oil = 1.0 + (missing + np.roll(missing, 1)) / gap
+    filled = np.where((w < 0.0) & (places % 180.0 > 0.0), oil, 1.0)
+    pads = 2.0 + np.linspace(0.0, 176.0, 21)
+    figure, panels = plt.subplots(1, 3, figsize=(9.2, 3.0), layout="constrained")
+    ours, dots = LINES[1], {"linestyle": "", "marker": ".", "color": "0.35"}
+    half = 180.0 / n
+    for k in range(2):
+        own = slice(k * n // 2, (k + 1) * n // 2)
+        panels[0].plot(
+            places[own] + half,
+            rise[own],
+            color=ours,
+            label="BearingHeat, 32 points" if k == 0 else None,
+        )
+        panels[0].plot(
+            180.0 * k + pads,
+            ROSS_WARMTH[1 - k],
+            label="ROSS" if k == 0 else None,
+            **dots,
+        )
+    panels[1].plot(places, pressure, color=ours)
+    panels[1].plot(pads, ROSS_PRESSURE, **dots)
+    panels[2].plot(places, 100.0 * filled, color=ours)
+    names = (
+        "oil above the inlet [K]",
+        "pressure in the middle [MPa]",
+        "filled share of the gap [%]",
+    )
+    for panel, name in zip(panels, names, strict=True):
+        for groove in (0.0, 180.0, 360.0):
+            panel.axvline(groove, color="0.8", linewidth=3.0, zorder=0)
+        panel.set(
+            xlabel="angle from the first groove [°]",
+            ylabel=name,
+            xlim=(0, 360),
+            xticks=range(0, 361, 90),
+        )
+        panel.set_ylim(bottom=0)
+    panels[2].set_ylim(0, 105)
+    panels[0].legend(fontsize=8, frameon=False, loc="lower right")
+    return figure
+
+
 def piston() -> Figure:
     """What play in the pin of a piston does to the motor, and the journal's path."""
     ts = jnp.linspace(0.0, 0.012, 2401)
@@ -1141,6 +1303,7 @@ PICTURES: dict[str, Callable[[], Figure | Image.Image]] = {
     "piston": piston,
     "tilting": tilting,
     "warm_oil": warm_oil,
+    "bearing_heat": bearing_heat,
     "lined_bearing": lined_bearing,
     "thickening": thickening,
     "friction": friction,

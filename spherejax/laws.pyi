@@ -1,4 +1,5 @@
 from .foundations.checks import Requirement
+from .physics.laws.bearing_heat import BearingHeat
 from .physics.laws.bearings import LongBearing, ShortBearing
 from .physics.laws.conformity import AbstractConformity, SphericalProfile, WinklerLiner
 from .physics.laws.cylinders import EsduCylinder, JohnsonCylinder
@@ -50,7 +51,15 @@ from .physics.laws.normal import (
     HuntCrossleyDissipation,
     LankaraniNikravesh,
 )
-from .physics.laws.oil import AbstractOilViscosity, HeatFlows, OilHeat, ReynoldsViscosity, VogelViscosity
+from .physics.laws.oil import (
+    AbstractOilHeat,
+    AbstractOilViscosity,
+    HeatFlows,
+    OilHeat,
+    OilTransport,
+    ReynoldsViscosity,
+    VogelViscosity,
+)
 from .physics.laws.pressure import AbstractPressure, CosinePressure, PointContact, PreloadAlone, UniformPressure
 from .physics.laws.thickening import BarusThickening
 from .physics.laws.viscoelastic import Berg, Maxwell
@@ -65,11 +74,13 @@ __all__ = [
     "AbstractFrictionLaw",
     "AbstractHysteresisLaw",
     "AbstractNormalLaw",
+    "AbstractOilHeat",
     "AbstractOilViscosity",
     "AbstractPressure",
     "AbstractStaticFriction",
     "Ambrosio",
     "BarusThickening",
+    "BearingHeat",
     "BengisuAkay",
     "Berg",
     "BrownMcPhee",
@@ -104,6 +115,7 @@ __all__ = [
     "Maxwell",
     "MemoryEntry",
     "OilHeat",
+    "OilTransport",
     "PinkusSternlicht",
     "PointContact",
     "PreloadAlone",

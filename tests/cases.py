@@ -122,8 +122,9 @@ JOURNALS = {
     ),
     "lined": sj.Lubricated(
         clearance=C,
-        film=sj.laws.LinedBearing(0.02, sj.laws.WinklerLiner(1e8, 0.4, 1e-3), points=16),
+        film=sj.laws.LinedBearing(0.01, sj.laws.WinklerLiner(1e8, 0.4, 1e-3), points=16, grooves=1),
         conformity=_CYLINDER,
+        heat=sj.laws.BearingHeat(sj.laws.ReynoldsViscosity(0.03), 1.7e6, 2.0, 1.0),
     ),
     "thickening": sj.Lubricated(
         clearance=C,

@@ -72,6 +72,15 @@ WORKS: Mapping[str, Work] = {
         "Barus, C.", "Isothermals, isopiestics and isometrics relative to viscosity",
         "American Journal of Science", "45", "87-96", 1893,
     ),
+    "Elrod (1981)": Work(
+        "Elrod, H. G.", "A cavitation algorithm",
+        "Journal of Lubrication Technology", "103", "350-354", 1981,
+    ),
+    "Mitsui et al. (1983)": Work(
+        "Mitsui, J. and Hori, Y. and Tanaka, M.",
+        "Thermohydrodynamic analysis of cooling effect of supply oil in circular journal bearing",
+        "Journal of Lubrication Technology", "105", "414-421", 1983,
+    ),
     "Higginson (1965)": Work(
         "Higginson, G. R.",
         "The theoretical effects of elastic deformation of the bearing liner on journal bearing performance",

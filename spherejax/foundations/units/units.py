@@ -30,6 +30,7 @@ NAMES = {
     "kg m^2": "a moment of inertia", "Pa": "a pressure", "Pa s": "a viscosity", "1/s": "a rate",
     "1/m": "a number per length", "s/m": "a number per velocity", "rad/s^2": "an angular acceleration",
     "K": "a temperature", "1/K": "a number per kelvin", "J/K": "a heat capacity", "W/K": "a thermal conductance",
+    "J/(m^3 K)": "a heat capacity of a volume",
     "N/(m s)": "an integral gain", "N m/(rad s)": "an integral gain of an angle",
 }  # fmt: skip
 """What units measure, for messages."""

@@ -416,11 +416,11 @@ class Trajectory(eqx.Module, Reported):
         Every contact has `penetration` [m], `normal_force` (a number), `friction_force` and `sliding_velocity` [m/s];
         films have `film_force` on the ball, `film_moment` [N m] about its center, `film_power` and `shear_power`
         that they absorb [W], `film_thickness` at the thinnest [m], `film_pressure`, the largest [Pa], and
-        `film_pressure_place`, the unit vector from the socket's center to it; with warm oil `oil_temperature` [K] and
-        `heat_to_socket`, `heat_to_ball`, `heat_to_flow` [W]; bushings have `deflection` [m] and
-        `rotation` [rad]; ideal joints with friction `friction_moment` [N m] and `friction_force` on the second body,
-        `friction_power` [W] that it takes, `bearing_load` [N], and of its fixed point `friction_contraction` and
-        `friction_remainder`; a user's own model what it returns. Vectors in world axes.
+        `film_pressure_place`, the unit vector from the socket's center to it; with warm oil `oil_temperature` [K],
+        `hottest_oil` [K] where it is resolved, and `heat_to_socket`, `heat_to_ball`, `heat_to_flow` [W]; bushings have
+        `deflection` [m] and `rotation` [rad]; ideal joints with friction `friction_moment` [N m] and `friction_force`
+        on the second body, `friction_power` [W] that it takes, `bearing_load` [N], and of its fixed point
+        `friction_contraction` and `friction_remainder`; a user's own model what it returns. Vectors in world axes.
         """
         return self.observation.parts.get(self._joint(joint), {}) | self._looked_up.get(joint, {})
 

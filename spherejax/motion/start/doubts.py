@@ -24,4 +24,7 @@ def _films_out_of_range(system: System) -> list[str]:
         if isinstance(model, Lubricated) and is_concrete(model.socket_radius):
             doubt = model.film.doubt(float(model.socket_radius))
             said += [f"joint {name!r}: {doubt}."] if doubt else []
+            film = model.film
+            of_heat = "" if model.heat is None else model.heat.doubt(type(film).__name__, film.n_grooves)
+            said += [f"joint {name!r}: {of_heat}."] if of_heat else []
     return said

@@ -59,6 +59,7 @@ PART_UNITS = {
     "film_pressure": "Pa",
     "film_pressure_place": "1",
     "oil_temperature": "K",
+    "hottest_oil": "K",
     "heat_to_socket": "W",
     "heat_to_ball": "W",
     "heat_to_flow": "W",

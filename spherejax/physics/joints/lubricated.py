@@ -31,7 +31,7 @@ from spherejax.physics.laws.films import AbstractFilm, FilmAction, FilmGap, Film
 from spherejax.physics.laws.friction import AbstractFrictionLaw
 from spherejax.physics.laws.material import Material
 from spherejax.physics.laws.normal import AbstractNormalLaw, HuntCrossleyDissipation
-from spherejax.physics.laws.oil import OilHeat
+from spherejax.physics.laws.oil import AbstractOilHeat
 from spherejax.physics.laws.thickening import BarusThickening
 from spherejax.physics.memory import MemoryEntry
 
@@ -132,7 +132,7 @@ class Lubricated(AbstractClearanceModel):
     socket_material: Material
     ball_material: Material
     conformity: AbstractConformity | None
-    heat: OilHeat | None
+    heat: AbstractOilHeat | None
     thickening: BarusThickening | None
     _ball_radius_given: bool = eqx.field(static=True)
 
@@ -152,7 +152,7 @@ class Lubricated(AbstractClearanceModel):
         socket_material: Material | None = None,
         ball_material: Material | None = None,
         conformity: AbstractConformity | None = None,
-        heat: OilHeat | None = None,
+        heat: AbstractOilHeat | None = None,
         thickening: BarusThickening | None = None,
     ):
         self.clearance = clearance_from(clearance, socket_radius, ball_radius)
@@ -190,7 +190,7 @@ class Lubricated(AbstractClearanceModel):
             effects = (*effects, Effect(f"viscosity by pressure ({type(self.thickening).__name__})", thick))
         if self.heat is None:
             return effects
-        return (*effects, Effect(f"warm oil ({type(self.heat.viscosity).__name__})", self))
+        return (*effects, Effect(self.heat.effect(self.film.n_points), self))
 
     def requirements(self) -> list[Requirement]:
         """Legal geometry, lubricant, materials and laws."""
@@ -202,8 +202,19 @@ class Lubricated(AbstractClearanceModel):
             *self.boundary.requirements(),
             *self.film.requirements(),
             *contact_law_requirements(self.normal, self.friction, self.conformity),
-            *([] if self.heat is None else (r._replace(field=f"heat.{r.field}") for r in self.heat.requirements())),
+            *self._requirements_of_heat(),
             *self._requirements_of_thickening(),
+        ]
+
+    def _requirements_of_heat(self) -> list[Requirement]:
+        """A legal law, and for temperatures round a bearing a film that is resolved there."""
+        if self.heat is None:
+            return []
+        name, fits = type(self.film).__name__, self.film.n_points > 0 or not self.heat.is_resolved
+        what = f"be resolved round its bearing with heat={type(self.heat).__name__}"
+        return [
+            *(r._replace(field=f"heat.{r.field}") for r in self.heat.requirements()),
+            Requirement("film", name, fits, what, "Take LinedBearing, or OilHeat for one temperature of all oil."),
         ]
 
     def _requirements_of_thickening(self) -> list[Requirement]:
@@ -235,7 +246,10 @@ class Lubricated(AbstractClearanceModel):
     def memory(self) -> tuple[MemoryEntry, ...]:
         """That of the contact, what the film remembers, and the warmth of the oil."""
         film = (entry._replace(lasts=True) for entry in self.film.memory)
-        return (*super().memory, *film, *(() if self.heat is None else self.heat.memory))
+        return (*super().memory, *film, *self._heat_entries())
+
+    def _heat_entries(self) -> tuple[MemoryEntry, ...]:
+        return () if self.heat is None else self.heat.memory_of(self.film.n_points)
 
     @property
     def memory_fades(self) -> bool:
@@ -279,7 +293,7 @@ class Lubricated(AbstractClearanceModel):
                 "shear_power": share * film.shear_power,
                 "film_thickness": -penetration,
                 "sliding_velocity": contact.sliding_velocity,
-                **self._heat_parts(memory),
+                **self._heat_parts(film, memory),
             },
         )
 
@@ -324,28 +338,23 @@ class Lubricated(AbstractClearanceModel):
     def _film_gap(self, memory) -> FilmGap:
         viscosity = self.viscosity
         if self.heat is not None:
-            viscosity = viscosity * self.heat.viscosity.ratio(self.heat.temperature(memory[-1:]))
+            viscosity = viscosity * self.heat.viscosity.ratio(self._oil_temperature(self.heat, memory))
         return FilmGap(self.clearance, self.socket_radius, viscosity, self.e_h1, self.boundary, self.thickening)
 
-    def _warming_rate(self, film: FilmAction, share: Scalar, memory) -> list[Float[Array, " 1"]]:
-        """Of the oil [K/s], which is the last entry of the memory; none without heat."""
+    def _oil_temperature(self, heat: AbstractOilHeat, memory) -> Array:
+        """Of the oil [K], by what comes last in the memory."""
+        return heat.temperature(memory[-len(self._heat_entries()) :])
+
+    def _warming_rate(self, film: FilmAction, share: Scalar, memory) -> list[Float[Array, " n"]]:
+        """Of the oil [K/s]; none without heat."""
         if self.heat is None:
             return []
         power = share * (film.pressure_power + film.shear_power)
-        return [self.heat.rate(self.heat.temperature(memory[-1:]), power)[None]]
+        return [self.heat.rates(self._oil_temperature(self.heat, memory), power, film.transport)]
 
-    def _heat_parts(self, memory) -> dict[str, Array]:
+    def _heat_parts(self, film: FilmAction, memory) -> dict[str, Array]:
         """Temperature of the oil and where its heat goes; nothing without heat."""
-        if self.heat is None:
-            return {}
-        temperature = self.heat.temperature(memory[-1:])
-        lost = self.heat.heat_flows(temperature)
-        return {
-            "oil_temperature": temperature,
-            "heat_to_socket": lost.to_socket,
-            "heat_to_ball": lost.to_ball,
-            "heat_to_flow": lost.to_flow,
-        }
+        return {} if self.heat is None else self.heat.told(self._oil_temperature(self.heat, memory), film.transport)
 
     def _elastic_energy(self, penetration: Scalar) -> Scalar:
         """Integral of w(delta) f(delta): the blended contact force does the work that contact gives back.

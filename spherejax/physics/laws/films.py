@@ -17,6 +17,7 @@ from spherejax.physics.laws.film import (
     squeeze_coefficient,
 )
 from spherejax.physics.laws.full_film import PressurePeak, film_slope, pressure_peak, shear_factors
+from spherejax.physics.laws.oil import OilTransport
 from spherejax.physics.laws.thickening import BallPressure, BarusThickening, ball_pressure, thickened_ball
 from spherejax.physics.memory import MemoryEntry
 
@@ -31,7 +32,7 @@ class FilmGap(NamedTuple):
     Attributes:
         clearance: c [m].
         socket_radius: R [m].
-        viscosity: nu [Pa s].
+        viscosity: nu [Pa s]; one at each point for a film that has some, where the oil's temperature is resolved.
         transition_offset: e_h1 [m], by which the film is thicker than the gap, so that it stays finite at |e| = c.
         boundary: which parts of the film carry pressure.
         thickening: how the viscosity grows with the pressure; None for one that does not.
@@ -39,7 +40,7 @@ class FilmGap(NamedTuple):
 
     clearance: Number
     socket_radius: Number
-    viscosity: Number
+    viscosity: Number | Float[Array, " n"]
     transition_offset: Number
     boundary: AbstractFilmBoundary
     thickening: BarusThickening | None = None
@@ -77,6 +78,7 @@ class FilmAction(NamedTuple):
         shear_power: dissipated by the shear of the oil [W], not negative.
         memory_rate: rates of what the film remembers; None for one that lists nothing.
         stored_energy: of a film that stores some [J], as by a liner; None for others.
+        transport: of the oil from point to point, where its temperature is resolved; None elsewhere.
     """
 
     force: Vector3
@@ -86,6 +88,7 @@ class FilmAction(NamedTuple):
     shear_power: Scalar
     memory_rate: Float[Array, " n"] | None = None
     stored_energy: Scalar | None = None
+    transport: OilTransport | None = None
 
 
 class AbstractFilm(AbstractLaw):
@@ -117,6 +120,16 @@ class AbstractFilm(AbstractLaw):
         contact, as that of others is, it would not give back what it took.
         """
         return False
+
+    @property
+    def n_points(self) -> int:
+        """Round the bearing, each with a viscosity of its own (static); 0 of a film that has one viscosity."""
+        return 0
+
+    @property
+    def n_grooves(self) -> int:
+        """That feed the film (static)."""
+        return 0
 
     def rigid(self) -> "AbstractFilm | None":
         """The film between surfaces that do not give way, for tables of effects; None for one that has no other."""

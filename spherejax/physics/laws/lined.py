@@ -18,7 +18,7 @@ Source: derived here. The column model: Higginson (1965), Proc. IMechE 180 (3B):
 liners); Bartel et al. (1985), J. Biomech. Eng. 107:193-199, for k_w.
 """
 
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -26,13 +26,14 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from spherejax.foundations.checks import Requirement, is_concrete
-from spherejax.foundations.legal import positive
+from spherejax.foundations.legal import numeric, positive
 from spherejax.foundations.numerics import safe_norm
 from spherejax.foundations.types import Number, Scalar, Unit, Vector3
 from spherejax.physics.laws.bearings import SLACK, ShortBearing
 from spherejax.physics.laws.conformity import WinklerLiner
 from spherejax.physics.laws.films import AbstractFilm, FilmAction, FilmGap, FilmMotion, swept
 from spherejax.physics.laws.full_film import PressurePeak
+from spherejax.physics.laws.oil import OilTransport
 from spherejax.physics.memory import MemoryEntry
 
 FEWEST_POINTS, MOST_POINTS = 16, 96
@@ -55,14 +56,75 @@ _AXIAL = (4.0 / 3.0, 8.0 / 5.0, 32.0 / 35.0, 64.0 / 315.0)
 _ROUND = (8.0 / 15.0, 48.0 / 35.0, 128.0 / 105.0, 256.0 / 693.0)
 """Of int (1 - s**2)**2 (h_0 + w (1 - s**2))**3 ds, likewise."""
 
+_FLOW = (2.0 / 3.0, 8.0 / 5.0, 48.0 / 35.0, 128.0 / 315.0)
+"""Of int (1 - s**2) (h_0 + w (1 - s**2))**3 ds, likewise."""
+
 _SQUARE, _MEAN = 8.0 / 15.0, 2.0 / 3.0
 """Of int (1 - s**2)**2 ds and int (1 - s**2) ds."""
+
+_EMPTY = _SQUARE / _MEAN
+"""Thickness of the oil that is missing where w < 0, over -w: there Galerkin's equation says (8/15) dw/dt = (2/3) V.u,
+and the missing thickness m has dm/dt = -V.u."""
+
+SLOW = 1.0
+"""Of a journal [rad/s]: where it turns more slowly no film warms noticeably on its way round, and it does not matter on
+which side of a point its viscosity is taken; the sides change smoothly there."""
+
+SMALLEST_SHARE = 0.01
+"""Of the clearance: an empty gap has oil of this thickness for its heat, so that its temperature stays finite."""
 
 
 def _conductance(factors: tuple[float, ...], gap: Array, deflection: Array) -> Array:
     """A cubic form of the gap and the deflection [m^3]."""
     a, b, c, d = factors
     return ((a * gap + b * deflection) * gap + c * deflection**2) * gap + d * deflection**3
+
+
+def _between(values: Array) -> Array:
+    """Between each point and the next one."""
+    return 0.5 * (values + jnp.roll(values, -1))
+
+
+def _ahead(spin: Scalar) -> Scalar:
+    """Which way a journal turns: 1 for forward, 0 for backward."""
+    return 0.5 + 0.5 * spin / jnp.sqrt(spin**2 + SLOW**2)
+
+
+def _arriving(values: Float[Array, " n"], spin: Scalar) -> Float[Array, " n"]:
+    """What arrives at each point."""
+    ahead = _ahead(spin)
+    return ahead * jnp.roll(values, 1) + (1.0 - ahead) * jnp.roll(values, -1)
+
+
+def _carried_upwind(values: Float[Array, " n"], speed: Scalar) -> Float[Array, " n"]:
+    """What a speed carries of a quantity from each point to the next one, by its value where it comes from."""
+    return jnp.maximum(speed, 0.0) * values + jnp.minimum(speed, 0.0) * jnp.roll(values, -1)
+
+
+def _leaving_upwind(values: Float[Array, " n"], speed: Scalar) -> Float[Array, " n"]:
+    """What leaves a point so, beyond what arrives."""
+    forward = _carried_upwind(values, speed)
+    return forward - jnp.roll(forward, 1)
+
+
+class _FilmState(NamedTuple):
+    """Of a film at its points.
+
+    Attributes:
+        places: unit vectors to them, world axes.
+        rigid: gap of rigid circles [m].
+        deflection: of the liner [m].
+        empty: w where oil is missing, not positive [m].
+        rates: of w [m/s].
+        viscosity_between: between each point and the next one [Pa s].
+    """
+
+    places: Float[Array, "n 3"]
+    rigid: Float[Array, " n"]
+    deflection: Float[Array, " n"]
+    empty: Float[Array, " n"]
+    rates: Float[Array, " n"]
+    viscosity_between: Float[Array, " n"]
 
 
 class LinedBearing(AbstractFilm):
@@ -84,19 +146,31 @@ class LinedBearing(AbstractFilm):
     The film stays where the journal goes beyond the clearance, beside the dry contact there: then the gap of the rigid
     circles is that at `LARGEST_GAP_RATIO`.
 
+    Without grooves the bearing's ends are flooded: oil comes in there wherever the gap widens. With `grooves` along the
+    axis, at equal distances, it comes in at them alone, at no pressure, and oil is conserved (Elrod): where it does not
+    fill the gap, -(4/5) w_i of the gap is empty, oil flows with half the speed of the journal, and only the part that
+    is filled is sheared. So a film is starved behind a narrow place until the next groove. Then
+
+        d/dt w_i = (5/4) V.u_i - W (w_i - w_(i-1))/da       where w_i < 0, for W > 0
+
     Attributes:
         length: L, of the bearing [m].
         liner: its material and thickness.
         points: round the bearing, each a state (static).
+        grooves: along the axis, that feed oil, at equal distances; a divisor of the points, or 0 (static).
+        groove_angle: of the first groove, from the x axis of the joint's frame about z, as `FourierDepth` counts angles
+            [rad]: about the world's z from the world's y.
+        groove_width: of each groove, up to the distance of two points; there is no shear in it [rad].
 
-    Limits: a liner that is thin against the width of the pressure, on a stiff shell; c << R, one viscosity, ambient
+    Limits: a liner that is thin against the width of the pressure, on a stiff shell; c << R, ambient
         pressure at both ends. Load within 2 % of a fine grid with a deflection at each point up to eps = 0.7 (3.5 % for
         L = 2 R), within 4 % at 0.8 and 10 % at 0.9: beyond 0.8 a run warns (`OutOfRangeWarning`). For L = 4 R it bears
         0.99, 0.99, 0.93 times that of a rigid grid at 0.3, 0.5, 0.8; in longer bearings a run warns (`StartWarning`).
         As the liner stiffens the film becomes that of a rigid bearing, and its states as fast as k_w c**3/(eta L**2)
         [1/s].
 
-    Source: derived here; columns in journal bearings as in Higginson (1965), Proc. IMechE 180 (3B):31-38.
+    Source: derived here; columns in journal bearings as in Higginson (1965), Proc. IMechE 180 (3B):31-38; oil that is
+    conserved as in Elrod (1981), J. Lubr. Technol. 103:350-354.
     """
 
     is_of_bearing: ClassVar[bool] = True
@@ -109,6 +183,19 @@ class LinedBearing(AbstractFilm):
     length: Annotated[Number, Unit("m")]
     liner: WinklerLiner
     points: int = eqx.field(static=True, default=32)
+    grooves: int = eqx.field(static=True, default=0)
+    groove_angle: Annotated[Number, Unit("rad")] = 0.0
+    groove_width: Annotated[Number, Unit("rad")] = 0.0
+
+    @property
+    def n_points(self) -> int:
+        """Each may have a viscosity of its own."""
+        return self.points
+
+    @property
+    def n_grooves(self) -> int:
+        """That feed the film."""
+        return self.grooves
 
     @property
     def memory(self) -> tuple[MemoryEntry, ...]:
@@ -144,11 +231,16 @@ class LinedBearing(AbstractFilm):
         angles = 2.0 * np.pi * np.arange(self.points) / self.points
         axes = motion.socket_axes
         assert axes is not None  # a bearing has them
-        return jnp.asarray(np.cos(angles))[:, None] * axes[:, 0] + jnp.asarray(np.sin(angles))[:, None] * axes[:, 1]
+        x, y = axes[:, 0], axes[:, 1]
+        if self.grooves:
+            cosine, sine = jnp.cos(self.groove_angle), jnp.sin(self.groove_angle)
+            x, y = cosine * x + sine * y, cosine * y - sine * x
+        return jnp.asarray(np.cos(angles))[:, None] * x + jnp.asarray(np.sin(angles))[:, None] * y
 
     def deflections(self, memory: Float[Array, " n"], gap: FilmGap) -> Float[Array, " n"]:
-        """Of the liner where it has a pressure [m]: without suction those that are positive."""
-        return memory if gap.boundary.bears_suction else jnp.maximum(memory, 0.0)
+        """Of the liner where it has a pressure [m]: without suction those that are positive, and none at grooves."""
+        deflections = memory if gap.boundary.bears_suction else jnp.maximum(memory, 0.0)
+        return jnp.where(self._is_groove, 0.0, deflections) if self.grooves else deflections
 
     def action(self, motion: FilmMotion, gap: FilmGap) -> FilmAction:
         """Force and moments of the pressure that the liner bears, and the rates of its deflections."""
@@ -162,27 +254,114 @@ class LinedBearing(AbstractFilm):
         spin = (motion.ball_spin - motion.socket_spin) @ axis
         places = self.places(motion)
         rigid = gap.clearance * (1.0 - places @ _ratio_vector(motion, gap))
-        w = self.deflections(missing, gap)
+        w, empty = self.deflections(missing, gap), self._empty(missing, gap, rigid, spin)
         ahead, behind = jnp.roll(w, -1), jnp.roll(w, 1)
         conductance = _conductance(_ROUND, rigid, w)
-        flow = 0.5 * (conductance + jnp.roll(conductance, -1)) * (ahead - w) / (radius * step) ** 2
-        leaving = 4.0 / self.length**2 * _conductance(_AXIAL, rigid, w) * missing
-        spread = foundation / (12.0 * gap.viscosity) * (flow - jnp.roll(flow, 1) - leaving)
+        flow = _between(conductance) * (ahead - w) / (radius * step) ** 2
+        leaving = 4.0 / self.length**2 * _conductance(_AXIAL, rigid, w) * (w if self.grooves else missing)
+        is_resolved, viscosity = jnp.ndim(gap.viscosity) > 0, gap.viscosity
+        viscosity_between = jnp.asarray(viscosity)
+        if is_resolved:
+            viscosity, viscosity_between = self._viscosities(viscosity_between, spin)
+            flow, leaving = flow / viscosity_between, leaving / viscosity
+        scale = foundation / 12.0 if is_resolved else foundation / (12.0 * viscosity)
+        spread = scale * (flow - jnp.roll(flow, 1) - leaving)
+        filled = -_leaving_upwind(empty, 0.5 * spin) / step if self.grooves else 0.0
         carried = -0.25 * spin * (ahead - behind) / step
-        rates = carried + (_MEAN * (places @ velocity) + spread) / _SQUARE
+        rates = carried + filled + (_MEAN * (places @ velocity) + spread) / _SQUARE
+        if self.grooves:
+            rates = jnp.where(self._is_groove, 0.0, rates)
         force = -_MEAN * foundation * area * (w @ places)
-        couple = -gap.viscosity * area * radius**2 * jnp.sum(1.0 / (rigid + _MEAN * w)) * spin * axis
+        braking = viscosity * area * radius**2 * self._sheared(rigid, empty, spin) / (rigid + _MEAN * w)
+        couple = -jnp.sum(braking) * spin * axis
         stored = 0.5 * _SQUARE * foundation * area * (w @ w)
         arm = jnp.cross(motion.e, force) / 2
-        return FilmAction(
+        action = FilmAction(
             force,
             couple - arm,
             -couple - arm,
-            -foundation * area * (w @ spread),
+            # Where the gap fills again, oil enters the film against its pressure: what that takes is lost.
+            -foundation * area * (w @ (spread + _SQUARE * filled)),
             -(couple @ axis) * spin,
             rates,
             stored,
         )
+        if not is_resolved:
+            return action
+        pressed = scale * flow * (ahead - w)
+        lost = 0.5 * (pressed + jnp.roll(pressed, 1)) + (scale * leaving - _SQUARE * filled) * w
+        power = foundation * area * lost + braking * spin**2
+        film = _FilmState(places, rigid, w, empty, rates, viscosity_between)
+        return action._replace(transport=self._transport(motion, gap, film, spin, power))
+
+    def _viscosities(self, viscosity: Float[Array, " n"], spin: Scalar) -> tuple[Array, Array]:
+        """At each point, and between it and the next one.
+
+        Oil mixes upwind: the temperature that is kept for a point is that with which oil leaves it, half a step on. At
+        the point it is the mean of what arrives and what leaves, which makes the difference of second order. Behind a
+        groove fresh oil arrives.
+        """
+        ahead = _ahead(spin)
+        at_points = jnp.where(self._is_groove, viscosity, 0.5 * (viscosity + _arriving(viscosity, spin)))
+        return at_points, ahead * viscosity + (1.0 - ahead) * jnp.roll(viscosity, -1)
+
+    @property
+    def _is_groove(self) -> np.ndarray:
+        """Of each point (static)."""
+        at = np.arange(self.points)
+        return at % (self.points // self.grooves) == 0 if self.grooves else at < 0
+
+    def _empty(self, memory: Array, gap: FilmGap, rigid: Float[Array, " n"], spin: Scalar) -> Float[Array, " n"]:
+        """-5/4 of the part of the gap without oil [m]; none without grooves, or with suction.
+
+        A groove fills the gap that it meets: of a gap that widens from there, half a step on a part is empty.
+        """
+        if not self.grooves or gap.boundary.bears_suction:
+            return jnp.zeros(self.points)
+        between, ahead = self._gap_between(rigid, gap), _ahead(spin)
+        behind_it = ahead * between + (1.0 - ahead) * jnp.roll(between, 1)
+        return jnp.minimum(jnp.where(self._is_groove, (rigid - behind_it) / _EMPTY, memory), 0.0)
+
+    def _gap_between(self, thickness: Float[Array, " n"], gap: FilmGap) -> Float[Array, " n"]:
+        """Between each point and the next one, such that its difference over a step is the slope at a point."""
+        half = np.pi / self.points
+        return gap.clearance + half / (np.sin(half) * np.cos(half)) * (_between(thickness) - gap.clearance)
+
+    def _sheared(self, rigid: Float[Array, " n"], empty: Float[Array, " n"], spin: Scalar) -> Array:
+        """Share of the gap in which oil is sheared; at a groove the mean of both sides, beside its width.
+
+        As of `_viscosities`, what arrives at a point and what leaves it count alike; bounded, so that there is no jump
+        where a point fills.
+        """
+        if not self.grooves:
+            return jnp.ones(())
+        mean = jnp.maximum(0.5 * (empty + _arriving(empty, spin)), 2.0 * empty)
+        filled = jnp.clip(1.0 + _EMPTY * mean / rigid, 0.0, 1.0)
+        beside = jnp.maximum(1.0 - self.groove_width * self.points / (2.0 * np.pi), 0.0)
+        return jnp.where(self._is_groove, beside * 0.5 * (jnp.roll(filled, 1) + jnp.roll(filled, -1)), filled)
+
+    def _transport(
+        self, motion: FilmMotion, gap: FilmGap, film: _FilmState, spin: Scalar, power: Array
+    ) -> OilTransport:
+        """Flows of the oil: what leaves at the ends is what the flow from point to point and the volume leave over.
+
+        Oil is counted as in Galerkin's equation, (4/5) w on the mean of the length for w of either sign: what leaves
+        then has no jump where a film begins or ends.
+        """
+        radius, step = gap.socket_radius, 2.0 * np.pi / self.points
+        area, ahead = self.length * radius * step, jnp.roll(film.deflection, -1)
+        widening = -(film.places @ (motion.e_rate - jnp.cross(motion.socket_spin, motion.e)))
+        thickness = jnp.maximum(gap.clearance - film.places @ motion.e, SMALLEST_SHARE * gap.clearance)
+        carried = 0.5 * spin * (self._gap_between(thickness, gap) + 0.5 * _EMPTY * (film.deflection + ahead))
+        carried = carried + _EMPTY * _carried_upwind(film.empty, 0.5 * spin)
+        slope = self.liner.foundation() * (ahead - film.deflection) / (radius * step)
+        conductance = _between(_conductance(_FLOW, film.rigid, film.deflection))
+        forward = self.length * (radius * carried - conductance / (12.0 * film.viscosity_between) * slope)
+        outward = -area * (widening + _EMPTY * film.rates) - (forward - jnp.roll(forward, 1))
+        assert motion.memory is not None
+        filled = thickness + _EMPTY * jnp.where(self._is_groove, 0.0, motion.memory)
+        volume = area * jnp.maximum(filled, SMALLEST_SHARE * gap.clearance)
+        return OilTransport(forward, outward, volume, power, self._is_groove)
 
     def pressure_peak(self, motion: FilmMotion, gap: FilmGap) -> PressurePeak:
         """The largest pressure of all points, in the middle of the length."""
@@ -201,6 +380,25 @@ class LinedBearing(AbstractFilm):
             positive("length", self.length, "m"),
             *(r._replace(field=f"liner.{r.field}") for r in self.liner.requirements()),
             Requirement("points", self.points, is_count, what, "Leave it out for 32."),
+            *self._requirements_of_grooves(is_count),
+        ]
+
+    def _requirements_of_grooves(self, is_count: bool) -> list[Requirement]:
+        """Grooves at points, and narrower than their distance."""
+        fits = isinstance(self.grooves, int) and self.grooves >= 0 and is_count
+        fits = fits and (self.grooves == 0 or self.points % self.grooves == 0)
+        width, angle = numeric(self.groove_width), numeric(self.groove_angle)
+        widest = 2.0 * np.pi / self.points * SLACK if is_count else np.inf
+        return [
+            Requirement("grooves", self.grooves, fits, "be a divisor of points, or 0", "Give 0, 1 or 2, for example."),
+            Requirement("groove_angle", self.groove_angle, abs(angle) < np.inf, "be finite", "Give an angle [rad]."),
+            Requirement(
+                "groove_width",
+                self.groove_width,
+                (width >= 0) & (width <= widest),
+                f"lie between 0 and the distance of two points, {widest:.3g}",
+                "Give a smaller angle [rad], or fewer points.",
+            ),
         ]
 
 

@@ -9,7 +9,9 @@ it loses heat to both bodies, whose temperatures are given, and to oil that flow
 import abc
 from typing import Annotated, ClassVar, NamedTuple
 
+import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from spherejax.foundations.checks import Requirement
@@ -22,8 +24,8 @@ GRADE_TEMPERATURE = 313.15
 """40 degC [K], at which the viscosity grades of ISO 3448 are stated."""
 
 LARGEST_EXPONENT = 40.0
-"""The viscosity is at most exp(40) = 2e17 times that at the reference temperature: a trial step of the integrator far
-into the cold stays finite, no oil is that thick."""
+"""The viscosity is at most exp(40) = 2e17 times that at the reference temperature, and at least exp(-40) times: a trial
+step of the integrator far into the cold or the heat stays finite, no oil is that thick or thin."""
 
 
 class AbstractOilViscosity(AbstractLaw):
@@ -34,8 +36,8 @@ class AbstractOilViscosity(AbstractLaw):
         """ln(nu(T)/nu(T_0)) [-]."""
 
     def ratio(self, temperature: Number) -> Scalar:
-        """nu(T)/nu(T_0) [-]. Limits: 0 as T grows; constant, with derivative 0, where it exceeds exp(40)."""
-        return jnp.exp(jnp.minimum(self.exponent(temperature), LARGEST_EXPONENT))
+        """nu(T)/nu(T_0) [-]. Limits: constant, with derivative 0, beyond exp(40) and below exp(-40)."""
+        return jnp.exp(jnp.clip(self.exponent(temperature), -LARGEST_EXPONENT, LARGEST_EXPONENT))
 
 
 class ReynoldsViscosity(AbstractOilViscosity):
@@ -106,6 +108,24 @@ class VogelViscosity(AbstractOilViscosity):
         ]
 
 
+class OilTransport(NamedTuple):
+    """The oil of a film that is resolved round its bearing, and what warms it, at each point.
+
+    Attributes:
+        forward: flow from the point to the next one [m^3/s]; negative where the oil flows back.
+        outward: what leaves at both ends of the bearing, or into a groove, beyond what comes in there [m^3/s].
+        volume: of the oil at the point, positive [m^3].
+        power: dissipated at the point [W].
+        is_groove: whether fresh oil is fed there (static).
+    """
+
+    forward: Float[Array, " n"]
+    outward: Float[Array, " n"]
+    volume: Float[Array, " n"]
+    power: Float[Array, " n"]
+    is_groove: np.ndarray
+
+
 class HeatFlows(NamedTuple):
     """Where the heat of the oil goes.
 
@@ -119,8 +139,60 @@ class HeatFlows(NamedTuple):
     to_ball: Scalar
     to_flow: Scalar
 
+    def told(self) -> dict[str, Array]:
+        """By the names that a run tells them by."""
+        return {"heat_to_socket": self.to_socket, "heat_to_ball": self.to_ball, "heat_to_flow": self.to_flow}
 
-class OilHeat(AbstractLaw):
+
+class AbstractOilHeat(AbstractLaw):
+    """What warms and cools the oil of a joint, whose viscosity falls with its temperature.
+
+    Attributes:
+        viscosity: how the viscosity that the joint states changes with the temperature.
+        is_resolved: whether there is a temperature at each point round a bearing, and not one of all oil.
+    """
+
+    viscosity: eqx.AbstractVar[AbstractOilViscosity]
+    is_resolved: ClassVar[bool] = False
+
+    @abc.abstractmethod
+    def memory_of(self, n_points: int) -> tuple[MemoryEntry, ...]:
+        """What is remembered of the oil, with a film that has so many points round its bearing (static)."""
+
+    @abc.abstractmethod
+    def effect(self, n_points: int) -> str:
+        """What it is called in the table of effects."""
+
+    @abc.abstractmethod
+    def temperature(self, memory: Float[Array, " n"]) -> Array:
+        """Of the oil [K]: a scalar, or one at each point."""
+
+    @abc.abstractmethod
+    def rates(self, temperature: Array, power: Scalar, transport: OilTransport | None) -> Float[Array, " n"]:
+        """Of the temperature [K/s].
+
+        Args:
+            temperature: of the oil [K].
+            power: that the film absorbs [W].
+            transport: flows and powers point by point; None of a film that is not resolved.
+        """
+
+    @abc.abstractmethod
+    def told(self, temperature: Array, transport: OilTransport | None) -> dict[str, Array]:
+        """Temperatures [K] and flows of heat [W] by the names that a run tells them by."""
+
+    def doubt(self, film: str, n_grooves: int) -> str:
+        """What is said before a run with a film of that name that so many grooves feed; empty for nothing."""
+        del film, n_grooves
+        return ""
+
+    def requirements_of_viscosity(self) -> list[Requirement]:
+        """Those of the law of the viscosity."""
+        law, name = self.viscosity, type(self.viscosity).__name__
+        return [r._replace(field=f"{name}.{r.field}") for r in law.requirements()]
+
+
+class OilHeat(AbstractOilHeat):
     """Heat balance of the oil in a lubricated joint, and its viscosity by temperature.
 
         C dT/dt = P - G_s (T - T_s) - G_b (T - T_b) - W (T - T_in)
@@ -164,12 +236,17 @@ class OilHeat(AbstractLaw):
 
     never_adds_energy: ClassVar[bool] = True
 
-    @property
-    def memory(self) -> tuple[MemoryEntry, ...]:
+    def memory_of(self, n_points: int) -> tuple[MemoryEntry, ...]:
         """How much warmer the oil is than at the start; it goes on through contact and flight."""
+        del n_points
         return (MemoryEntry("oil_warming", "K", 1.0, lasts=True),)
 
-    def temperature(self, memory: Float[Array, " 1"]) -> Scalar:
+    def effect(self, n_points: int) -> str:
+        """In the table of effects."""
+        del n_points
+        return f"warm oil ({type(self.viscosity).__name__})"
+
+    def temperature(self, memory: Float[Array, " n"]) -> Scalar:
         """T [K]."""
         return self.start_temperature + memory[0]
 
@@ -180,6 +257,16 @@ class OilHeat(AbstractLaw):
             jnp.asarray(self.ball_conductance * (temperature - self.ball_temperature)),
             jnp.asarray(self.flow_capacity * (temperature - self.inlet_temperature)),
         )
+
+    def rates(self, temperature: Array, power: Scalar, transport: OilTransport | None) -> Float[Array, " n"]:
+        """See `rate`."""
+        del transport
+        return self.rate(temperature, power)[None]
+
+    def told(self, temperature: Array, transport: OilTransport | None) -> dict[str, Array]:
+        """The temperature, and where the heat goes."""
+        del transport
+        return {"oil_temperature": temperature, **self.heat_flows(temperature).told()}
 
     def rate(self, temperature: Number, power: Number) -> Scalar:
         """dT/dt [K/s].
@@ -195,10 +282,9 @@ class OilHeat(AbstractLaw):
         """A capacity, conductances that are not negative, temperatures above 0 K."""
         temperatures = ("socket_temperature", "ball_temperature", "inlet_temperature", "start_temperature")
         conductances = ("socket_conductance", "ball_conductance", "flow_capacity")
-        law, name = self.viscosity, type(self.viscosity).__name__
         return [
             positive("heat_capacity", self.heat_capacity, "J/K"),
             *(non_negative(field, getattr(self, field), "W/K") for field in conductances),
             *(positive(field, getattr(self, field), "K") for field in temperatures),
-            *(r._replace(field=f"{name}.{r.field}") for r in law.requirements()),
+            *self.requirements_of_viscosity(),
         ]
