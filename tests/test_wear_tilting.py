@@ -338,6 +338,10 @@ def test_joints_that_are_no_planes_of_one_journal_are_answered():
         surface_of(system, "pin", None)
 
 
-def test_a_journal_that_tilts_does_not_wear_in():
+def test_what_does_not_wear_in_is_answered_before_a_run():
     with pytest.raises(sj.SceneError, match=r"k_ball = 1e-13 m.2/N.*Give k_ball=0.0, or take sj.wear"):
         sj.studies.wear_in(scene(2), "pin", TS, cycles=10.0, **{**OPTIONS, "k_ball": K})
+    with pytest.raises(sj.SceneError, match=r"'pin_1' is a rim of a journal that tilts.*Give the name of the journal"):
+        sj.studies.wear_in(scene(2), "pin_1", TS, cycles=10.0, **OPTIONS)
+    with pytest.raises(sj.SceneError, match=r"there is no joint \['pin'\]"):
+        sj.studies.wear_in(scene(2), ["pin"], TS, cycles=10.0, **OPTIONS)

@@ -55,7 +55,7 @@ class Surface(NamedTuple):
 
 def names_of(joint: Any, joints: Iterable[str]) -> tuple[str, ...]:
     """The names of a joint's contacts: its own, or NAME_1, NAME_2, ... of a journal that tilts."""
-    there = set(joints)
+    there = tuple(joints)  # what is no text, and cannot be looked up in a set, is answered by who asked
     planes = tuple(takewhile(there.__contains__, (f"{joint}_{i}" for i in count(1))))
     return (joint,) if joint in there or not planes else planes
 
@@ -82,10 +82,7 @@ def surface_of(system: System, joint: str, length: float | None) -> Surface:
             raise SceneError(f"wear of joint {joint!r}: it is a ball in its socket, which has no length=; leave it out")
         return Surface(joint, SphereChart, ((joint, _geometry(model, radius)),))
     if not placed.is_parallel:
-        raise SceneError(
-            f"joint {joint!r} is a rim of a journal that tilts, and the bearing wears along its axis as a whole. Give "
-            "the name of the journal that sj.joints.tilting_journal made, 'pin' for 'pin_1' and 'pin_2'"
-        )
+        raise SceneError(rim_alone(joint))
     if length is None:
         if not isinstance(model.conformity, AbstractCylinder):
             raise SceneError(
@@ -93,6 +90,14 @@ def surface_of(system: System, joint: str, length: float | None) -> Surface:
             )
         length = float(model.conformity.length)
     return Surface(joint, CircleChart, ((joint, _geometry(model, float(length))),))
+
+
+def rim_alone(joint: str) -> str:
+    """What is said of a plane of a journal that tilts, by itself."""
+    return (
+        f"joint {joint!r} is a rim of a journal that tilts, and the bearing wears along its axis as a whole. Give the "
+        "name of the journal that sj.joints.tilting_journal made, 'pin' for 'pin_1' and 'pin_2'"
+    )
 
 
 def _geometry(model: Any, width: float) -> Joint:

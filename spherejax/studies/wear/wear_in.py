@@ -35,7 +35,7 @@ from spherejax.studies.wear.contacts import ContactInstants
 from spherejax.studies.wear.cycles import Rate, Worn, over_cycles
 from spherejax.studies.wear.deposit import Maps
 from spherejax.studies.wear.gap import Profiles, fitted, misfit
-from spherejax.studies.wear.planes import RubbingCycles, Surface, names_of
+from spherejax.studies.wear.planes import RubbingCycles, Surface, names_of, rim_alone
 from spherejax.studies.wear.rubbing import LOST, RubbingCycle, cycle_of
 from spherejax.studies.wear.study import (
     check_cells,
@@ -360,7 +360,7 @@ def _check(scene: Any, joint: Any, names: tuple[str, ...], k_ball, degree: Any, 
     """What can be answered before anything is simulated; the kind of the joint's maps."""
     if not isinstance(scene, Scene):
         raise SceneError(f"wear_in takes a scene, which it simulates again and again, and not {type(scene).__name__}")
-    if names[0] not in scene.joints:
+    if names[0] not in list(scene.joints):
         raise SceneError(f"there is no joint {joint!r}; {one_of(list(scene.joints), str(joint))}")
     for name in names:
         model = getattr(scene.joints[name], "model", None)
@@ -369,6 +369,8 @@ def _check(scene: Any, joint: Any, names: tuple[str, ...], k_ball, degree: Any, 
                 f"joint {name!r}: its model is {type(model).__name__}, and surfaces that wear in the motion are those "
                 "of Dry; for the contact of a lubricated joint take sj.wear"
             )
+    if isinstance(scene.joints[names[0]], Rim) and names == (joint,):
+        raise SceneError(rim_alone(joint))
     if isinstance(scene.joints[names[0]], Rim) and k_ball > 0:
         raise SceneError(
             f"wear of joint {joint!r}: k_ball = {k_ball!r} m^2/N, and a journal that tilts has no motion here once it "
