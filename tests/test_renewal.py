@@ -327,3 +327,42 @@ def test_settings_of_plain_numbers_are_not_mixed_up(values):
         assert type(made.rtol) is type(value)
         assert str(made.rtol) == str(made.atol) == str(value)
         assert settings_from(value, value) is made
+
+
+@pytest.fixture(params=["clearance", pytest.param("mass", marks=pytest.mark.slow)])
+def of_number(request):
+    """A scene with another number, which may be traced."""
+    base = sj.gallery.four_bar(sj.Dry(1e-4))
+    if request.param == "clearance":
+        return lambda c: _with_traced(base, c * 1e-4)
+    return lambda m: eqx.tree_at(lambda s: s.bodies["coupler"].mass, base, m * 0.1)
+
+
+def test_gradients_of_renewed_scenes_are_those_of_new_ones(warm, of_number):
+    """Values and gradients in turns, each against empty tables; nothing that is traced is held."""
+    calls, forget = warm
+
+    def loss(x):
+        return jnp.sum(sj.simulate(of_number(x), TS).position("rocker")[-1] ** 2)
+
+    def both(x):
+        return float(loss(np.float64(x))), float(jax.grad(loss)(x))
+
+    found = [both(x) for x in (1.0, 1.1, 1.2)]
+    assert len(calls) <= 2  # from the start, and the first one that is traced
+    held = jax.tree.leaves([vars(entry[0]) for entry in preparation._lasts.values()], is_leaf=lambda x: x is None)
+    assert not any(isinstance(leaf, jax.core.Tracer) for leaf in held)
+    for x, mine in zip((1.0, 1.1, 1.2), found, strict=True):
+        forget()
+        assert both(x) == mine
+
+
+def test_a_bad_value_behind_a_gradient_is_refused_each_time(warm):
+    """After a good one too, and a good one after it is none the worse."""
+    del warm
+    scene = sj.gallery.four_bar(sj.Dry(1e-4))
+    slope = jax.grad(lambda c: sj.simulate(_with_traced(scene, c), TS).position("rocker")[-1, 0])
+    first = slope(1e-4)
+    with pytest.raises(SceneError, match="'coupler_rocker': clearance"):
+        slope(-1e-4)
+    assert slope(1e-4) == first

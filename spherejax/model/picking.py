@@ -44,10 +44,14 @@ class Picked:
         self._places, self._constants = places, constants
         self._flat = np.concatenate([np.zeros(0, int), *(place.ravel() for place in places)])
 
-    def flat(self, theta: np.ndarray) -> np.ndarray:
-        """All of the numbers, one after the other, from those of the system."""
+    def flat(self, theta: np.ndarray, without: tuple[int, ...] = ()) -> np.ndarray:
+        """The numbers, one after the other, from those of the system; without some of these."""
         numbers = np.concatenate([theta, self._constants]) if self._constants.size else theta
-        return numbers[self._flat]
+        return numbers[self._flat[~np.isin(self._flat, without)]] if without else numbers[self._flat]
+
+    def has_any(self, indices: tuple[int, ...]) -> bool:
+        """Whether some of these numbers of a system are among them."""
+        return bool(indices) and bool(np.isin(self._flat, indices).any())
 
     def among(self, n: int) -> np.ndarray:
         """Which of n numbers of a system are picked."""

@@ -17,6 +17,7 @@ from functools import cached_property, lru_cache, partial
 from typing import Any, NamedTuple
 
 import jax
+import jax.core
 import numpy as np
 
 from spherejax.foundations.checks import called, enforce, is_concrete
@@ -60,6 +61,10 @@ class Taken(NamedTuple):
         leaves, tree = jax.tree.flatten(whole)
         return cls(list(map(own, leaves)), tree)
 
+    def without_traced(self) -> "Taken":
+        """With None in place of what is traced."""
+        return Taken([leaf if is_concrete(leaf) else None for leaf in self.leaves], self.tree)
+
     def whole(self) -> Any:
         """Put together again."""
         return jax.tree.unflatten(self.tree, self.leaves)
@@ -83,11 +88,17 @@ class Renewed(NamedTuple):
     conditions: list
 
 
+def traced_places(reading: KeyedTree) -> tuple[int, ...]:
+    """Which leaves of a scene are traced, or cannot be compared."""
+    return tuple(i for i, value in enumerate(reading.values) if value is None)
+
+
 class Compilation:
-    """A compiled scene from which others can be renewed; all of its numbers are known.
+    """A compiled scene from which others can be renewed, in which the same leaves are traced.
 
     Attributes:
-        system, seen: the system that it calls for, and that with laws by their factors.
+        system, seen: the system that it calls for, and that with laws by their factors; None in place of leaves that
+            are traced.
     """
 
     def __init__(self, values: tuple, system: Taken, seen: Taken, frame: "_SharedByScenes"):
@@ -97,11 +108,20 @@ class Compilation:
     @classmethod
     def of(cls, reading: KeyedTree, system: Taken, seen: Taken) -> "Compilation | None":
         """Of a scene that was compiled from the start; None where no other can be renewed from it."""
-        if reading.key is None or reading.user_code or not is_own(reading.structure):
+        if reading.user_code != "" or not is_own(reading.structure):
             return None
         if not all(type(body) is Body for body in reading.tree.bodies.values()):
             return None
-        return cls(reading.values, system, seen, _SharedByScenes(reading.structure, system, seen))
+        pairs = zip(reading.values, reading.leaves, strict=True)
+        values = tuple(_traced(leaf) if value is None else value for value, leaf in pairs)
+        if None in values:
+            return None
+        shared = _SharedByScenes(reading.structure, system, seen)
+        if reading.key is None:
+            shared.ask()  # while what is traced is there, which nobody may hold
+            shared.let_go()
+            return cls(values, system.without_traced(), seen.without_traced(), shared)
+        return cls(values, system, seen, shared)
 
     def followed_by(self, reading: KeyedTree, renewed: Renewed) -> "Compilation":
         """That of a scene of known numbers that was renewed from this one."""
@@ -165,7 +185,8 @@ class _SharedByScenes:
     """What scenes of one structure share that are renewed from each other; found when it is first asked for."""
 
     def __init__(self, structure: Any, system: Taken, seen: Taken):
-        self._of, self._system = (structure, system.tree, seen.tree), system
+        self._of = structure, system.tree, seen.tree
+        self._system: Taken | None = system
         self._drawn: dict[str, BodyGeometry] | None = None
 
     @cached_property
@@ -187,6 +208,7 @@ class _SharedByScenes:
 
     @cached_property
     def _whole(self) -> System:
+        assert self._system is not None
         return self._system.whole()
 
     @cached_property
@@ -194,6 +216,20 @@ class _SharedByScenes:
         joints, forces = self._whole.joints.items(), self._whole.forces.items()
         of_joints = {("joint", name): _said_of_joint(joint) for name, joint in joints}
         return of_joints | {("force", name): _said_of_force(force) for name, force in forces}
+
+    def ask(self) -> None:
+        """Find out now what is asked for later."""
+        self._said, self._masses = self._said, self._masses
+
+    def let_go(self) -> None:
+        """Hold the system no longer."""
+        self._system = None
+        vars(self).pop("_whole", None)
+
+    @cached_property
+    def _masses(self) -> tuple[bool, bool, float]:
+        whole = self._whole
+        return whole.is_driven, whole.refines_constraints, whole.smallest_pivot
 
     def parts_of(self, leaves: list[int]) -> list[_PlacesOfPart] | None:
         """The parts that leaves belong to; None where another geometry, gravity or drift control is among them."""
@@ -219,8 +255,8 @@ class _SharedByScenes:
 
     def is_for_masses_of(self, scene: Scene) -> bool:
         """Whether other masses and moments are as far apart as those before."""
-        whole = self._whole
-        return for_masses(scene.bodies, whole.is_driven) == (whole.refines_constraints, whole.smallest_pivot)
+        is_driven, *of_masses = self._masses
+        return for_masses(scene.bodies, is_driven) == tuple(of_masses)
 
 
 @lru_cache(maxsize=256)
@@ -233,6 +269,12 @@ def _places(tree: Any) -> Mapping[tuple[str, str], tuple[slice, Any]]:
             found[field, name] = slice(start, start + part.num_leaves), part
             start += part.num_leaves
     return found
+
+
+def _traced(leaf: Any) -> tuple | None:
+    """What stands for a traced number: its form, and no value that another one could have; None for anything else."""
+    is_number = isinstance(leaf, jax.core.Tracer) and leaf.dtype == np.float64
+    return (jax.core.Tracer, "<f8", leaf.shape, object()) if is_number else None
 
 
 def _is_alike(old: tuple, new: Any) -> bool:

@@ -491,29 +491,49 @@ def structure_and_numbers(leaves: list, tree: Any):
     structure = Structure(tree, shapes, tuple(special), user_code_fingerprint(tree))
     if len(parts) == 1 and isinstance(parts[0], np.ndarray):
         return structure, parts[0]
-    return structure, _end_to_end(parts)
+    return structure, end_to_end(parts)
+
+
+def numbers_apart(leaves: list, tree: Any) -> tuple[Structure, Float[np.ndarray, " p"], tuple[int, ...]]:
+    """The structure of a system that is taken apart, and as of `split` its numbers that are known and where others
+    are."""
+    known, unknown = split(leaves)
+    special = tuple((i, value) for i, value in special_in(known) if i not in set(unknown))
+    return Structure(tree, tuple(map(np.shape, leaves)), special, user_code_fingerprint(tree)), known, unknown
 
 
 def numbers_renewed(
-    structure: Structure, theta: Float[np.ndarray, " p"], leaves: list, changed: Sequence[slice]
-) -> tuple[Structure, Float[np.ndarray, " p"]]:
-    """`structure_and_numbers` of a system of known numbers that has other leaves at some places, to the same bits.
+    structure: Structure, known: Float[np.ndarray, " p"], leaves: list, changed: Sequence[slice]
+) -> tuple[Structure, Float[np.ndarray, " p"], tuple[int, ...]]:
+    """`numbers_apart` of a system that has other leaves at some places, to the same bits.
 
     Args:
-        structure, theta: of the system before.
-        leaves: of the other system, whose tree and shapes are the same.
+        structure, known: of the system before.
+        leaves: of the other system, whose tree and shapes are the same; elsewhere they are known.
         changed: where leaves may differ.
     """
-    theta, starts = theta.copy(), structure.starts
+    known, starts, unknown = known.copy(), structure.starts, []
     for some in changed:
-        if some.stop > some.start:
-            numbers = np.concatenate([np.asarray(leaf, np.float64).ravel() for leaf in leaves[some]])
-            theta[starts[some.start] : starts[some.stop]] = numbers
-    return structure.for_special(tuple(special_in(theta))), theta
+        for i, leaf in enumerate(leaves[some], some.start):
+            first, last = starts[i], starts[i + 1]
+            if is_concrete(leaf):
+                known[first:last] = np.asarray(leaf, np.float64).ravel()
+            else:
+                known[first:last] = 0.0
+                unknown += range(first, last)
+    special = special_in(known)
+    if unknown:
+        special = [(i, value) for i, value in special if i not in set(unknown)]
+    return structure.for_special(tuple(special)), known, tuple(sorted(unknown))
+
+
+def traced_numbers(leaves: list) -> Float[Array, " n_unknown"]:
+    """The numbers of a system that are not known, one after the other, from its leaves."""
+    return end_to_end([leaf for leaf in leaves if not is_concrete(leaf)])
 
 
 @jax.jit
-def _end_to_end(arrays: list) -> Float[Array, " n"]:
+def end_to_end(arrays: list) -> Float[Array, " n"]:
     """One vector of arrays; as one program, where `jax.vmap` would make one of each operation."""
     return jnp.concatenate([jnp.ravel(jnp.asarray(each, jnp.float64)) for each in arrays])
 

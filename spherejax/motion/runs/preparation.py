@@ -8,15 +8,15 @@ numbers, or is asked for within a trace, is made each time.
 
 from collections.abc import Hashable
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 
 from spherejax.foundations.behind_tracers import known_behind
-from spherejax.foundations.checks import is_concrete, is_tracing
+from spherejax.foundations.checks import is_tracing
 from spherejax.foundations.types import Numeric
-from spherejax.model.renewal import Compilation, Taken
+from spherejax.model.renewal import Compilation, Taken, traced_places
 from spherejax.model.scene import Scene
 from spherejax.model.system import (
     CompiledScene,
@@ -24,9 +24,9 @@ from spherejax.model.system import (
     System,
     compile_scene,
     example_of,
+    numbers_apart,
     numbers_renewed,
-    split,
-    structure_and_numbers,
+    traced_numbers,
     with_laws_by_factor,
 )
 from spherejax.motion.equations.programs import path_of
@@ -50,9 +50,8 @@ class PreparedScene:
 
     Attributes:
         structure: of the system that it calls for, with laws by their factors.
-        theta: all numbers of that.
         path: scalar programs or array code.
-        known: the numbers that are known, with zeros elsewhere.
+        known: its numbers that are known, with zeros elsewhere.
         unknown: indices of the others.
         conditions: on the numbers that are traced.
         is_driven: whether the start depends on its time.
@@ -68,12 +67,11 @@ class PreparedScene:
         scalar: bool | None,
         conditions: list,
         doubts: tuple[str, ...] = (),
-        numbers: tuple[Structure, Any] | None = None,
+        numbers: tuple[Structure, Any, tuple[int, ...]] | None = None,
     ):
         self._taken, self.taken = system, seen
-        self.structure, self.theta = structure_and_numbers(*seen) if numbers is None else numbers
+        self.structure, self.known, self.unknown = numbers_apart(*seen) if numbers is None else numbers
         self.path = path_of(self.structure, scalar)
-        self.known, self.unknown = (self.theta, ()) if is_concrete(self.theta) else split(seen.leaves)
         self.conditions = conditions
         self.is_driven = example_of(self.structure).is_driven
         # On the array path the linear systems of a stiff method are dense.
@@ -86,6 +84,11 @@ class PreparedScene:
         system = Taken.apart(compiled.system)
         seen = Taken(*jax.tree.flatten(with_laws_by_factor(system.whole())))
         return cls(system, seen, scalar, compiled.conditions, doubts)
+
+    @cached_property
+    def values(self) -> Any:
+        """The numbers that are not known, in their order."""
+        return traced_numbers(self.taken.leaves) if self.unknown else np.zeros(0)
 
     @cached_property
     def seen(self) -> System:
@@ -149,27 +152,41 @@ def prepared_from(scene: KeyedTree, track_work: bool, scalar: bool | None) -> Pr
     from the start."""
     # User code may do anything with the numbers of a scene.
     is_renewable = scene.user_code == "" and isinstance(scene.tree, Scene)
-    key = (scene.structure, track_work, scalar) if is_renewable else None
-    last = None if key is None else _lasts.find(key)
+    # With other numbers that are traced a system may say other things of itself. One of known numbers serves where it
+    # says the same, and for the first time within `jax.jit`.
+    how = scene.structure, track_work, scalar
+    key = (how, traced_places(scene)) if is_renewable else None
+    last = (_lasts.find(key) or _lasts.find((how, ()))) if is_renewable else None
     if last is not None:
         compilation, before = last
         renewed = compilation.renewed(scene)
         if renewed is not None:
             doubts = before.doubts if renewed.doubts_remain else doubts_of(scene.tree, renewed.system.whole())
-            numbers = None
-            if scene.key is not None:
-                numbers = numbers_renewed(before.structure, before.theta, renewed.seen.leaves, renewed.changed)
+            numbers = numbers_renewed(before.structure, before.known, renewed.seen.leaves, renewed.changed)
             found = PreparedScene(renewed.system, renewed.seen, scalar, renewed.conditions, doubts, numbers)
             if scene.key is not None and not is_tracing():
-                _lasts.put(key, (compilation.followed_by(scene, renewed), found))
+                _lasts.put((how, ()), (compilation.followed_by(scene, renewed), _Before.of(found)))
             return found
     compiled = compile_scene(scene.tree, track_work=track_work)
     found = PreparedScene.of(compiled, scalar, doubts_of(scene.tree, compiled.system))
-    if key is not None and scene.key is not None and not is_tracing():
+    # Within a trace of `jax.jit` what JAX computes of known numbers belongs to that.
+    if key is not None and not is_tracing():
         compilation = found.compilation(scene)
         if compilation is not None:
-            _lasts.put(key, (compilation, found))
+            _lasts.put(key, (compilation, _Before.of(found)))
     return found
+
+
+class _Before(NamedTuple):
+    """What is known of a prepared scene, also where some of its numbers are traced: nothing of these is held."""
+
+    structure: Structure
+    known: Any
+    doubts: tuple[str, ...]
+
+    @classmethod
+    def of(cls, prepared: PreparedScene) -> "_Before":
+        return cls(prepared.structure, prepared.known, prepared.doubts)
 
 
 @memoized(N_SCENES)
@@ -193,10 +210,12 @@ def _method_by_numbers(scene: PreparedScene, rtol: Any) -> SolverChoice:
 def scene_tolerances(scene: PreparedScene, rtol: Any) -> Tolerances:
     """Tolerances by the scales of a scene."""
     # A run and its derivative are judged by the same numbers: those behind the tracers of `jvp` and `grad`.
-    behind = known_behind((scene.theta, rtol))
+    behind = known_behind((scene.values, rtol))
     if len(behind) == 1:
-        theta, known = behind[0]
-        found = known_tolerances(scene.structure, np.asarray(theta), known)
+        values, known = behind[0]
+        theta = scene.known.copy()
+        theta[list(scene.unknown)] = values
+        found = known_tolerances(scene.structure, theta, known)
         if found is not None:
             return found
     behind = known_behind((scene.seen, rtol))
@@ -207,7 +226,7 @@ def scene_tolerances(scene: PreparedScene, rtol: Any) -> Tolerances:
 @memoized(N_ANSWERS, _by_scene_and_time, copied=True)
 def closed_start(scene: PreparedScene, ts: Numeric) -> KnownStart | None:
     """The consistent start at the first of the times, where it is known, and what is to be said of it."""
-    start = None if scene.unknown else usual_start(scene.structure, scene.theta)
+    start = usual_start(scene.structure, scene.known, scene.unknown)
     if start is None:
         start = known_start(scene.seen, ts)
     return None if start is None else start._replace(doubts=(*start.doubts, *scene.doubts))

@@ -13,9 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from spherejax.foundations.behind_tracers import known_behind
 from spherejax.foundations.checks import called, is_concrete, is_tracing
 from spherejax.foundations.errors import SceneError
-from spherejax.foundations.lanes import rows_at
 from spherejax.foundations.remembering.again import again
 from spherejax.foundations.remembering.same import Same
 from spherejax.model.captured import captures_explained
@@ -56,6 +56,7 @@ from spherejax.motion.settings import DEFAULT_MAX_STEPS, RunSettings, settings_f
 from spherejax.motion.solvers.automatic import SolverChoice, choose_solver
 from spherejax.motion.solvers.given_steps import GivenSteps
 from spherejax.motion.solvers.root_finder import with_converging_root_finder
+from spherejax.motion.solvers.traits import is_explicit
 from spherejax.motion.start.assembly import Assembly
 from spherejax.motion.start.start_now import StartWarning
 from spherejax.motion.start.tolerances import Tolerances, tolerances_in_all_units, tolerances_of
@@ -286,7 +287,7 @@ def call_of(prepared_scene: PreparedScene, carried: CarriedStart | None, ts, set
     if carried is not None:
         conditions += carried.conditions
     values_are_legal = jnp.all(jnp.stack(conditions)) if conditions else np.array(True)
-    values = rows_at(jnp.asarray(prepared_scene.theta), unknown) if unknown else np.zeros(0)
+    values = prepared_scene.values
     begun_with = assembly
     if from_state and carried is not None and assembly is not None:
         values = jnp.concatenate([jnp.asarray(values), carried.y])
@@ -302,7 +303,8 @@ def call_of(prepared_scene: PreparedScene, carried: CarriedStart | None, ts, set
         )
         outcome_of = integrate_through_diffrax.bound(plan, method, adjoint, settings.max_steps, inputs)
     elif unknown or from_state or not is_concrete(ts):
-        abrupt = abrupt_contacts(prepared_scene.system())
+        # An explicit method has nothing to say of them.
+        abrupt = () if is_explicit(choice.solver) else abrupt_contacts(prepared_scene.system())
         outcome_of = partial(integrate_with_sensitivities, plan, method, inputs, abrupt)
     else:
         outcome_of = bound_run(plan, method, inputs)
@@ -471,6 +473,8 @@ def run_tolerances(found: PreparedScene, rtol, atol, in_numbers: bool = False) -
 
 def reported(run: Trajectory, throw: bool, *, stacklevel: int = 3) -> Trajectory:
     """The run; where its outcome is known a failure is an error with `throw`, else a warning."""
+    if _has_plainly_succeeded(run):
+        return run
     seen = run.behind_tracers
     if seen is None:
         return _raising(run) if throw else run
@@ -483,6 +487,15 @@ def reported(run: Trajectory, throw: bool, *, stacklevel: int = 3) -> Trajectory
         said = cautions(shares, parts_with_a_range(seen.system, seen.y_reached), texts_for(seen.system))
         warnings.warn(said, OutOfRangeWarning, stacklevel=stacklevel)
     return run
+
+
+def _has_plainly_succeeded(run: Trajectory) -> bool:
+    """Whether a run has, also within `jax.grad`, and there is nothing to say of it: mostly no more is looked at."""
+    known = known_behind((run.ended, run.stats.audit))
+    if len(known) != 1 or np.ndim(known[0][0]):
+        return False
+    ended, shares = known[0]
+    return int(ended) == Status.SUCCEEDED and not cautions(shares)
 
 
 def _raising(run: Trajectory) -> Trajectory:

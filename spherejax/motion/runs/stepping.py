@@ -108,11 +108,7 @@ def start(
         conditions = [*prepared_scene.conditions, *traced_times(ts), *conditions_of_jumps(prepared_scene, ts)]
         legal = jnp.all(jnp.stack(conditions)) if conditions else np.array(True)
         plan = Plan(prepared_scene.structure, prepared_scene.unknown, prepared_scene.path.scalar)
-        values = (
-            rows_at(jnp.asarray(prepared_scene.theta), prepared_scene.unknown)
-            if prepared_scene.unknown
-            else np.zeros(0)
-        )
+        values = prepared_scene.values
         y, status = _begun(
             plan, values, prepared_scene.known, ts, None if assembled is None else assembled.assembly, legal
         )

@@ -109,20 +109,27 @@ def _start_at(structure: Structure) -> _StartAt | None:
     return _StartAt(ideal, clearances, speeds)
 
 
-def usual_start(structure: Structure, theta: Float[np.ndarray, " p"]) -> KnownStart | None:
+def usual_start(
+    structure: Structure, known: Float[np.ndarray, " p"], unknown: tuple[int, ...] = ()
+) -> KnownStart | None:
     """`known_start` of a system that is taken apart, where nothing is to be said of it; None where it has to be looked
     at whole.
+
+    Args:
+        structure: of the system.
+        known: its numbers that are known.
+        unknown: indices of the others.
 
     Raises:
         SceneError: for joints that cannot be closed.
     """
     at = _start_at(structure)
-    if at is None or at.speeds.flat(theta).any():
+    if at is None or at.speeds.flat(known).any() or at.ideal.has_any(unknown):
         return None
-    numbers = at.ideal.flat(theta)
+    numbers = at.ideal.flat(known)
     ideal = at.structure_for(numbers)
     start = assemble_now(ideal, numbers)
-    far = far_from(largest_body(ideal, numbers), float(min(at.clearances.flat(theta), default=np.inf)))
+    far = far_from(largest_body(ideal, numbers), float(min(at.clearances.flat(known, unknown), default=np.inf)))
     shares = shares_of(np.asarray(start.displacement), np.asarray(start.rotation), far)
     return None if shares.max(initial=0.0) > 1 else KnownStart(start, ())
 
