@@ -20,6 +20,7 @@ from spherejax.motion.runs import preparation
 from spherejax.motion.runs import simulate as simulating
 from spherejax.motion.settings import settings_from
 from spherejax.motion.solvers.automatic import choice_by_structure, choose_solver
+from spherejax.motion.start.doubts import doubts_of
 from spherejax.motion.start.start_now import known_start, usual_start
 from spherejax.motion.start.tolerances import component_tolerances, controller_for, known_tolerances
 from spherejax.program_cache.keys import KeyedTree, LruCache
@@ -108,6 +109,8 @@ def test_each_number_that_changes_makes_what_it_makes_from_the_start(build):
                 continue
             n_renewed += 1
             assert renewed.conditions == []
+            if renewed.doubts_remain:
+                assert doubts_of(other, system.whole()) == doubts_of(scene, compilation.system.whole())
             for one, whole in ((renewed.system, system), (renewed.seen, seen)):
                 assert one.tree == whole.tree
                 assert bits(one.leaves) == bits(whole.leaves)
