@@ -28,28 +28,31 @@ def moving(memory, e=(0.0, 0.0), rate=(0.0, 0.0), spins=(0.0, SPEED)):
     return FilmMotion(place, velocity, spins[0] * axis, spins[1] * axis, axis, memory, jnp.eye(3))
 
 
-def acting(film, heat, motion, warming):
+def acting(film, heat, motion, warming, gap=GAP):
     """Of the film and of the heat: action and rates of the temperatures."""
     temperature = heat.temperature(warming)
-    action = film.action(motion, GAP._replace(viscosity=VISCOSITY * heat.viscosity.ratio(temperature)))
+    action = film.action(motion, gap._replace(viscosity=gap.viscosity * heat.viscosity.ratio(temperature)))
     power = action.pressure_power + action.shear_power
     return action, heat.rates(temperature, power, action.transport), heat.told(temperature, action.transport)
 
 
-def steady(film, heat, e=(0.0, 0.0), start=0.0):
+def steady(film, heat, e=(0.0, 0.0), gap=GAP, speed=SPEED):
     """Deflections and temperatures of a journal that turns steadily at a place, by implicit steps that grow.
 
     Where the film fills and empties, Newton's method alone does not find them.
     """
-    n = film.points
+    n, clearance = film.points, gap.clearance
+
+    def answer(x):
+        return acting(film, heat, moving(x[:n] * clearance, e, spins=(0.0, speed)), x[n:], gap)
 
     @jax.jit
     def rates(x):
-        action, warming, _ = acting(film, heat, moving(x[:n] * CLEARANCE, e), x[n:])
-        return jnp.concatenate([action.memory_rate / CLEARANCE, warming])
+        action, warming, _ = answer(x)
+        return jnp.concatenate([action.memory_rate / clearance, warming])
 
     slope = jax.jit(jax.jacfwd(rates))
-    x, step = jnp.concatenate([jnp.zeros(n), jnp.full(n, start)]), 1e-4
+    x, step = jnp.concatenate([jnp.zeros(n), jnp.zeros(n)]), 1e-4
     scale = jnp.concatenate([jnp.full(n, 0.1), jnp.full(n, 5.0)])
     for _ in range(400):
         change = jnp.linalg.solve(jnp.eye(2 * n) / step - slope(x), rates(x))
@@ -60,7 +63,7 @@ def steady(film, heat, e=(0.0, 0.0), start=0.0):
         if step == 1e6 and float(jnp.abs(change).max()) < 1e-9:
             break
     assert float(jnp.abs(change).max()) < 1e-9
-    return acting(film, heat, moving(x[:n] * CLEARANCE, e), x[n:]), np.asarray(x[:n]), np.asarray(x[n:])
+    return answer(x), np.asarray(x[:n]), np.asarray(x[n:])
 
 
 # Closed forms
@@ -261,6 +264,28 @@ def test_the_angle_of_grooves_is_that_in_the_bearing():
 
 ROSS = {"load": 112814.9, "speed": 94.24778, "radius": 0.2, "length": 0.263144, "clearance": 1.94564e-4}
 COLD_OF_ROSS, THIN, THINNER = 322.98333, 0.01901574, 0.007715233
+
+
+@pytest.mark.parametrize(
+    ("eps", "attitude", "load", "power", "inflow", "outflow"),
+    [
+        (0.25, 0.6435011, 28218.9, 10492.8, (5.08726e-4, 4.13564e-4), (3.70744e-4, 4.13564e-4)),
+        (0.5409873, 0.8435665, 112696.5, 11675.3, (5.72512e-4, 2.93703e-4), (2.37277e-4, 2.93703e-4)),
+    ],
+)
+def test_a_film_that_grooves_feed_has_load_power_and_flows_of_ross(eps, attitude, load, power, inflow, outflow):
+    """Of one viscosity: its fixed_eccentricity and fixed_isoviscous, the lower pad first, where its journal stands."""
+    gap = FilmGap(ROSS["clearance"], ROSS["radius"], THIN, 0.0, sj.Guembel())
+    liner = sj.laws.WinklerLiner(2e13, 0.3, 1e-3)
+    film = sj.laws.LinedBearing(ROSS["length"], liner, 32, 2, math.pi, math.radians(4.0))
+    heat = sj.laws.BearingHeat(sj.laws.ReynoldsViscosity(0.0), CAPACITY)
+    e = eps * gap.clearance * np.array([math.sin(attitude), -math.cos(attitude)])
+    (action, _, _), _, _ = steady(film, heat, tuple(e), gap, ROSS["speed"])
+    assert float(jnp.linalg.norm(action.force)) == pytest.approx(load, rel=0.015)
+    assert float(action.pressure_power + action.shear_power) == pytest.approx(power, rel=0.011)
+    flow = np.asarray(action.transport.forward)
+    np.testing.assert_allclose(flow[[0, 16]], inflow, rtol=0.022)
+    np.testing.assert_allclose(flow[[15, 31]], outflow, rtol=0.022)
 
 
 def ross(heat, points):
