@@ -22,7 +22,7 @@ import numpy as np
 
 from spherejax.foundations.checks import called, enforce, is_concrete
 from spherejax.foundations.errors import SceneError
-from spherejax.model.scene import Scene
+from spherejax.model.scene import Scene, scene_requirements
 from spherejax.model.system import (
     BodyGeometry,
     System,
@@ -135,13 +135,19 @@ class Compilation:
             return None
         parts = self._frame.parts_of(changed)
         try:
-            return None if parts is None else self._renewed(parts, reading.tree)
+            return None if parts is None else self._renewed(parts, changed, reading.tree)
         except SceneError:  # it is raised again, in its order
             return None
 
-    def _renewed(self, parts: list["_PlacesOfPart"], scene: Scene) -> Renewed | None:
+    def _renewed(self, parts: list["_PlacesOfPart"], leaves: list[int], scene: Scene) -> Renewed | None:
         system, seen = list(self.system.leaves), list(self.seen.leaves)
         conditions, doubts_remain = [], True
+        changed = [part.seen for part in parts]
+        at, placed, by_factor = self._frame.gravity
+        if at in leaves:
+            conditions += [found for where, what in scene_requirements(scene) for found in enforce(where, what)]
+            system[placed] = seen[by_factor] = own(scene.gravity)
+            changed.append(slice(by_factor, by_factor + 1))
         for part in parts:
             described: Any = getattr(scene, FIELDS[part.kind])[part.name]
             conditions += enforce(f"{part.kind} {part.name!r}", called(described, "requirements"))
@@ -156,8 +162,7 @@ class Compilation:
         if any(part.kind == "body" for part in parts) and not self._frame.is_for_masses_of(scene):
             return None
         trees = self.system.tree, self.seen.tree
-        changed = tuple(part.seen for part in parts)
-        return Renewed(Taken(system, trees[0]), Taken(seen, trees[1]), changed, doubts_remain, conditions)
+        return Renewed(Taken(system, trees[0]), Taken(seen, trees[1]), tuple(changed), doubts_remain, conditions)
 
     def _may_be_doubted(self, part: "_PlacesOfPart", joint: Any) -> bool:
         """Whether a joint may give reasons for doubt that it did not give before: another place, or another film."""
@@ -200,6 +205,12 @@ class _SharedByScenes:
         )
 
     @cached_property
+    def gravity(self) -> tuple[int, int, int]:
+        """Where it is among the leaves of the scene and of the two systems: behind the parts."""
+        first, *others = (sum(child.num_leaves for child in tree.children()[: len(FIELDS)]) for tree in self._of)
+        return first, others[0], others[1]
+
+    @cached_property
     def _part_of(self) -> list[int | None]:
         found: list[int | None] = [None] * self._of[0].num_leaves
         for k, part in enumerate(self._parts):
@@ -232,10 +243,12 @@ class _SharedByScenes:
         return whole.is_driven, whole.refines_constraints, whole.smallest_pivot
 
     def parts_of(self, leaves: list[int]) -> list[_PlacesOfPart] | None:
-        """The parts that leaves belong to; None where another geometry, gravity or drift control is among them."""
+        """The parts that leaves belong to; None where another geometry or drift control is among them."""
         found = {self._part_of[i] for i in leaves}
         for i in leaves:
             part = self._part_of[i]
+            if i == self.gravity[0]:
+                continue
             if part is None:
                 return None
             kind, _, described, *_ = self._parts[part]

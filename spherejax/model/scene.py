@@ -106,7 +106,7 @@ def check_scene(scene: Scene) -> list:
     _check_drift(scene)
     _check_names(scene)
     _check_connected(scene)
-    conditions = [condition for place, required in _requirements(scene) for condition in enforce(place, required)]
+    conditions = [condition for place, required in scene_requirements(scene) for condition in enforce(place, required)]
     for kind, name, part, values in new:
         found = enforce(f"{kind} {name!r}", called(part, "requirements"))
         conditions += found
@@ -138,7 +138,8 @@ _right = LruCache(N_PARTS)
 """Parts that were found to be as they must be."""
 
 
-def _requirements(scene: Scene) -> Iterator[tuple[str, list[Requirement]]]:
+def scene_requirements(scene: Scene) -> Iterator[tuple[str, list[Requirement]]]:
+    """What the numbers of a scene that belong to no part must satisfy, with what they belong to."""
     gravity = Requirement(
         "gravity", scene.gravity, abs(scene.gravity) < np.inf, "be finite [m/s^2]", "Give three numbers."
     )
