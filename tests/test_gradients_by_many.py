@@ -4,6 +4,7 @@ Closed forms of an oscillator that forty sines drive, along one direction and ba
 gradients against derivatives along directions, which are integrated beside the run, with their errors controlled.
 """
 
+import logging
 from collections.abc import Callable
 
 import controlling
@@ -181,9 +182,44 @@ def test_through_contact_the_gradient_is_the_derivative_along_every_direction():
 
 
 @pytest.mark.slow
+def test_numbers_that_hardly_move_the_ball_have_a_gradient_of_as_many_digits(monkeypatch):
+    """A sine moves the ball by a millionth of its speed: judged in the state's tolerances 1.3e-5 was left."""
+
+    def end(strengths, rtol):
+        run = sj.simulate(bouncing(strengths), jnp.linspace(0.0, 0.05, 4), rtol=rtol)
+        return 1e3 * jnp.sum(run.position("ball")[:, 0]) + run.velocity("ball")[-1, 1]
+
+    back = jax.jit(jax.grad(lambda strengths: end(strengths, 1e-8)))(STRENGTHS)
+    monkeypatch.setattr(sensitivities, "MANY", 1000)
+    rows = jax.jit(jax.grad(lambda strengths: end(strengths, 1e-11)))(STRENGTHS)
+    np.testing.assert_allclose(back, rows, atol=2e-6 * np.abs(rows).max())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("model", [sj.Dry(1e-4, friction=sj.Threlfall()), sj.Lubricated(1e-4, viscosity=0.4)])
+def test_the_steps_back_are_machine_code_as_a_whole(model, caplog):
+    """Else XLA calls some hundred kernels for each step back, and the gradient takes half as long again."""
+    scene = sj.gallery.four_bar(model)
+    numbers, rest = eqx.partition(scene, lambda leaf: isinstance(leaf, float) or eqx.is_inexact_array(leaf))
+
+    def height(numbers):
+        whole = eqx.combine(numbers, rest)
+        # With an exponent that is traced steps are chosen by diffrax's control, which has no rule there.
+        exponent = lambda scene: scene.joints["coupler_rocker"].model.normal.exponent  # noqa: E731
+        whole = eqx.tree_at(exponent, whole, exponent(scene))
+        return sj.simulate(whole, jnp.array([0.0, 0.01])).position("rocker")[-1, 2]
+
+    pullback.pulled_back.clear()
+    with caplog.at_level(logging.INFO, logger="spherejax.compiler"):
+        text = jax.jit(jax.grad(height)).lower(jax.tree.map(jnp.asarray, numbers)).as_text()
+    assert "spherejaxloop_" in text
+    assert "left to XLA" not in caplog.text
+
+
+@pytest.mark.slow
 def test_a_run_with_more_steps_than_there_is_room_for_is_cut(monkeypatch):
     whole = jax.grad(end_of_bounces)(STRENGTHS)
-    monkeypatch.setattr(pullback, "ROOM", 32)  # of some 500 steps
+    monkeypatch.setattr(pullback, "ROOM_WITH_CONTACT", 32)  # of some 500 steps
     pullback.pulled_back.clear()
     cut = jax.grad(end_of_bounces)(STRENGTHS)
     pullback.pulled_back.clear()

@@ -24,7 +24,7 @@ import spherejax as sj
 from spherejax.compiler import primitive
 from spherejax.compiler.native import compile as machine_code
 from spherejax.compiler.native import loop_fusion
-from spherejax.compiler.native.loop_fusion import fuse_loops
+from spherejax.compiler.native.loop_fusion import fuse_loops, whole_loops
 from spherejax.compiler.operations import OPERATIONS
 from spherejax.compiler.program import scalarize
 from spherejax.compiler.runge_kutta import Tableau
@@ -651,6 +651,31 @@ def test_damaged_machine_code_is_made_anew(tmp_path):
     _, n_loaded, again = said_by(**cache)
     assert n_loaded > 0
     assert again == number
+
+
+@pytest.mark.parametrize(("n", "is_written"), [(1000, True), (1205, True), (4093, True), (5000, False)])
+def test_arrays_of_many_entries_in_a_loop(small_ones_too, n, is_written):
+    """As loops of their own; where they are larger the loop is left as it is."""
+
+    def run(rate):
+        def turn(state):
+            i, y, x, is_small = state
+            change = rate(y)
+            turned = jnp.concatenate([x[7:], x[:7]]) + jnp.broadcast_to(change[1], n)
+            x = jnp.where(is_small, x * (1 + 1e-3 * change[0]), 0.5 * turned)
+            return i + 1, y + 0.01 * change, x, jnp.abs(x) < 1
+
+        start = jnp.zeros((), jnp.int64), ARGUMENTS[0], jnp.linspace(-2.0, 2.0, n), jnp.arange(n) % 3 > 0
+        return jax.lax.while_loop(lambda state: state[0] < 5, turn, start)
+
+    expected = jax.jit(lambda: run(field))()
+    with machine_code.native_code():
+        whole = whole_loops(lambda: run(FIELD))
+        assert ("loop_in_machine_code" in str(jax.make_jaxpr(whole)())) is is_written
+        found = jax.jit(whole)()
+    for one, other in zip(found, expected, strict=True):
+        assert one.dtype == other.dtype
+        np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-15)
 
 
 @pytest.mark.parametrize("counts", [[2], [3, 1, 2], [0, 0]])

@@ -413,10 +413,10 @@ def _reduction(name: str, by: str, start: Mapping[np.dtype, Any]) -> ArrayOperat
         (aval,), (value,) = avals, values
         kind = value.kind
         call = Call((kind, kind), kind, {})
+        if value.size == aval.size or not aval.size:
+            return [value.as_shape(aval.shape)]  # nothing is put together
         if value.size > LARGEST_WRITTEN_OUT:
             raise NotWrittenError(f"{value.size} numbers that are put together")
-        if value.size == 1 or not aval.size:
-            return [value.as_shape(aval.shape)]  # nothing is put together
         if not operation.can_be_llvm(call):
             raise NotWrittenError(f"{name} of {kind}")
 
@@ -456,6 +456,20 @@ _REDUCTIONS = (
     _reduction("reduce_and", "and", {INT: -1, BOOL: True}),
     _reduction("reduce_or", "or", {INT: 0, BOOL: False}),
 )
+
+
+def _of_all(name: str, reduction: ArrayOperation) -> ArrayOperation:
+    """An operation of equinox that puts all entries together, those of all lanes as well: a loop is of one."""
+
+    def llvm(text: ArrayText, values: Sequence[Value], parameters: Any, avals: Sequence[Any]) -> list[Value]:
+        del parameters
+        assert reduction.llvm is not None
+        return reduction.llvm(text, values, {"axes": tuple(range(len(values[0].shape)))}, avals)
+
+    return ArrayOperation(name=name, llvm=llvm)
+
+
+_REDUCED = {operation.name: operation for operation in _REDUCTIONS}
 
 
 def _arranged(array: np.ndarray, batch: Sequence[int], summed: Sequence[int]) -> np.ndarray:
@@ -557,6 +571,12 @@ def _names_of_iota(graph: Graph, inputs: Sequence[np.ndarray], use: Use) -> list
     return [_entrywise(lambda count: graph.constant(count, dtype), counts, shape=shape)]
 
 
+def _empty(text, values, parameters, avals):
+    del values, parameters
+    (aval,) = avals  # whatever it is: the derivative of a scan makes room of it
+    return [text.known(np.zeros(aval.shape, aval.dtype))]
+
+
 def _iota(text, values, parameters, avals):
     del values
     (aval,) = avals
@@ -588,6 +608,7 @@ _ALL = (
     # XLA has no way to write most scatters into a kernel; see `native.loop_fusion` for the others.
     ArrayOperation(name="scatter", names=_names_by_jax(0, 2), llvm=_scatter, fuses=False),
     ArrayOperation(name="iota", names=_names_of_iota, llvm=_iota),
+    ArrayOperation(name="empty2", llvm=_empty, fuses=False),
     *_REDUCTIONS,
     ArrayOperation(name="dot_general", names=_names_of_product, llvm=_dot_general, reduces=True),
     _solving("symmetric_solve", symmetric_solve),
@@ -598,6 +619,9 @@ _ALL = (
     # A barrier is for XLA alone: machine code has none of what it is a barrier to. The second is equinox's.
     ArrayOperation(name="optimization_barrier", llvm=_same, fuses=False),
     ArrayOperation(name="nonbatchable", llvm=_same),
+    _of_all("unvmap_any", _REDUCED["reduce_or"]),
+    _of_all("unvmap_all", _REDUCED["reduce_and"]),
+    _of_all("unvmap_max", _REDUCED["reduce_max"]),
 )
 
 ARRAY_OPERATIONS: dict[str, ArrayOperation] = {operation.name: operation for operation in _ALL}

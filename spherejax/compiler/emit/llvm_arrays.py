@@ -17,11 +17,15 @@ LARGE = 4096
 """Entries of an array that is changed in place; smaller ones are copied."""
 
 LARGEST_WRITTEN_OUT = 1024
-"""Entries of an array that operations are written out for, at most. With 4,096, a film with three rows of sensitivities
-takes a third longer to compile for a tenth of its time, and Andrews' mechanism more of both."""
+"""Entries of an array that operations are written out for, at most; for more, and fewer than `LARGE`, there are loops.
+With 4,096 written out, a film with three rows of sensitivities takes a third longer to compile for a tenth of its time,
+and Andrews' mechanism more of both."""
 
 LARGEST_STACK = 2**19
 """Bytes of arrays on the stack, at most: a thread of XLA's pool has a few megabytes."""
+
+MOST_PIECES = 128
+"""Pieces of other arrays that a large one may be moved together from, at most: each is a loop of its own."""
 
 
 class NotWrittenError(Exception):
@@ -203,7 +207,7 @@ class ArrayText:
             return
         if source.size == 1:  # is no array in memory: its name is the number
             self.write(target, 0, source.name)
-        elif source.size > LARGEST_WRITTEN_OUT:
+        elif source.size >= LARGE:
             # A call, where vectors would be more than 128 loads and stores in the text.
             self.declared["declare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)"] = None
             n = source.size * (1 if source.kind == "i1" else 8)
@@ -211,8 +215,33 @@ class ArrayText:
             self.say(f"call void @llvm.memcpy.p0.p0.i64(ptr align 8 {target.name}, ptr align 8 {source.name}, "
                      f"i64 {n}, i1 false)")  # fmt: skip
         else:
-            for at, width in chunks(source.size):
-                self.write(target, at, self.read(source, at, width), width)
+            self.through(source.size, lambda i, width: self.write(target, i, self.read(source, i, width), width))
+
+    def through(self, size: int, write: Callable[[int | str, int], None]) -> None:
+        """Instructions for so many entries: written out chunk by chunk, or where they are many as a loop.
+
+        Args:
+            size: entries.
+            write: from where a chunk begins, and how wide it is.
+        """
+        n, step = size // LANES_AT_A_TIME, LANES_AT_A_TIME
+        if size <= LARGEST_WRITTEN_OUT:
+            n = 0
+        else:
+            # In memory, as all that loops carry; LLVM makes a register of it.
+            counter = self.array((), "i64")
+            self.say(f"store i64 0, ptr {counter.name}, align 8")
+            turn, end = self.new("turn"), self.new("end")
+            self.say(f"br label %{turn}")
+            self.lines.append(f"{turn}:")
+            i = self.made(f"load i64, ptr {counter.name}, align 8")
+            write(self.made(f"mul nsw i64 {i}, {step}"), step)
+            following = self.made(f"add nsw i64 {i}, 1")
+            self.say(f"store i64 {following}, ptr {counter.name}, align 8")
+            self.say(f"br i1 {self.made(f'icmp slt i64 {following}, {n}')}, label %{turn}, label %{end}")
+            self.lines.append(f"{end}:")
+        for at, width in chunks(size - n * step):
+            write(n * step + at, width)
 
     # Entry by entry ---------------------------------------------------------------------------------------------------
 
@@ -231,11 +260,14 @@ class ArrayText:
         values = [self.broadcast(value, shape) for value in values]
         if size == 1:
             return Value(tuple(shape), kind, write(1, *(self.read(value) for value in values)))
-        if size > LARGEST_WRITTEN_OUT:
+        if size >= LARGE:
             raise NotWrittenError(f"an operation on {size} numbers")
         target = self.array(shape, kind)
-        for at, width in chunks(size):
+
+        def write_chunk(at: int | str, width: int) -> None:
             self.write(target, at, write(width, *(self.read(value, at, width) for value in values)), width)
+
+        self.through(size, write_chunk)
         return target
 
     def broadcast(self, value: Value, shape: Sequence[int]) -> Value:
@@ -259,23 +291,26 @@ class ArrayText:
         is_whole = np.all(of == of[0]) and np.array_equal(within, within[0] + np.arange(flat.size))
         if is_whole:
             return first._replace(shape=entries.shape, name=self.pointer(first, int(within[0])))
-        if flat.size > LARGEST_WRITTEN_OUT:
-            raise NotWrittenError(f"{flat.size} numbers that are moved")
-        # In runs of entries that follow each other, or are the same one (step 0): a vector for each eight of a run.
-        target, at = self.array(entries.shape, kind), 0
-        while at < flat.size:
-            source, begin, n = sources[of[at]], int(within[at]), 1
-            step = 0 if at + 1 < flat.size and within[at + 1] == begin and of[at + 1] == of[at] else 1
-            while at + n < flat.size and of[at + n] == of[at] and within[at + n] == begin + n * step:
-                n += 1
-            for part, width in chunks(n):
-                if step:
-                    entries_read = self.read(source, begin + part, width)
-                else:
-                    entries_read = self.spread(self.read(source, begin), kind, width)
-                self.write(target, at + part, entries_read, width)
-            at += n
+        pieces = _pieces(of, within)
+        if flat.size >= LARGE or (flat.size > LARGEST_WRITTEN_OUT and len(pieces) > MOST_PIECES):
+            raise NotWrittenError(f"{flat.size} numbers that are moved in {len(pieces)} pieces")
+        target = self.array(entries.shape, kind)
+        for at, n, step in pieces:
+            self._move(sources[of[at]], int(within[at]), step, target, at, n)
         return target
+
+    def _move(self, source: Value, begin: int, step: int, target: Value, at: int, n: int) -> None:
+        """A piece of an array, or one of its numbers again and again (step 0), into another one from `at` on."""
+        # From pointers on: in a loop, places are counted from the first entry of the piece.
+        into = target._replace(name=self.pointer(target, at))
+        several = source._replace(name=self.pointer(self.checked(source), begin)) if source.size > 1 else source
+        one = "" if step else self.read(source, begin)
+
+        def write(place: int | str, width: int) -> None:
+            numbers = self.read(several, place, width) if step else self.spread(one, source.kind, width)
+            self.write(into, place, numbers, width)
+
+        self.through(n, write)
 
     def picked(self, source: Value, begin: str, offsets: np.ndarray) -> Value:
         """Entries of an array at distances from one whose place is known when the program runs."""
@@ -296,8 +331,7 @@ class ArrayText:
         """The reverse of `picked`, in place."""
         at, flat = target._replace(name=self.pointer(target, begin)), offsets.ravel()
         if np.array_equal(flat, np.arange(flat.size)):
-            for i, width in chunks(flat.size):
-                self.write(at, i, self.read(source, i, width), width)
+            self.through(flat.size, lambda i, width: self.write(at, i, self.read(source, i, width), width))
             return
         for i, offset in enumerate(flat):
             self.write(at, int(offset), self.read(source, i))
@@ -347,6 +381,24 @@ class ArrayText:
                 parts = [self.made(f"extractelement <1 x {kind}> {part}, i64 0") for part in parts]
             name, size = join(half, *parts), half
         return name
+
+
+def _pieces(of: np.ndarray, within: np.ndarray) -> list[tuple[int, int, int]]:
+    """Runs of entries that follow each other (step 1), or are the same one (step 0): begin, length and step of each.
+
+    Args:
+        of: which array each entry is of.
+        within: its place there.
+    """
+    pieces, at, size = [], 0, of.size
+    while at < size:
+        begin, n = within[at], 1
+        step = 0 if at + 1 < size and within[at + 1] == begin and of[at + 1] == of[at] else 1
+        while at + n < size and of[at + n] == of[at] and within[at + n] == begin + n * step:
+            n += 1
+        pieces.append((at, n, step))
+        at += n
+    return pieces
 
 
 class Entries(Numbers):

@@ -76,6 +76,35 @@ def fuse_loops(function: Callable) -> Callable:
     return made
 
 
+def whole_loops(function: Callable) -> Callable:
+    """The same function; its loops that call machine code become machine code as a whole where all in them has a rule.
+
+    Others stay as they are: XLA (jaxlib 0.10) aborts the process over some branches of derivatives between kernels.
+    Loops within other operations are not looked for. Not to be differentiated, as `fuse_loops`.
+    """
+
+    @wraps(function)
+    def made(*arguments: Any) -> Any:
+        if not machine_code.native_code_enabled():
+            return function(*arguments)
+        closed, shapes = jax.make_jaxpr(function, return_shape=True)(*arguments)
+        jaxpr = closed.jaxpr
+        known = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*closed.consts, *jax.tree.leaves(arguments)], strict=True))
+        for equation in jaxpr.eqns:
+            results = None
+            if equation.primitive.name == "while" and _calls(equation) and _is_alone(equation):
+                results = _as_a_whole(equation, [_read(atom, known) for atom in equation.invars])
+            if results is None:
+                inputs = [*dict.fromkeys(a for a in equation.invars if isinstance(a, jex.Var))]
+                one = _as_function([equation], inputs, equation.outvars)
+                results = one(*(known[a] for a in inputs))
+            known.update(zip(equation.outvars, results, strict=True))
+        results = [_read(atom, known) for atom in jaxpr.outvars]
+        return jax.tree.unflatten(jax.tree.structure(shapes), results)
+
+    return made
+
+
 def _calls(equation: Any) -> bool:
     """Whether machine code is called in an operation."""
     if equation.primitive.name == "straight_line":

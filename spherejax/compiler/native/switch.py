@@ -5,7 +5,7 @@ from contextlib import ExitStack
 from typing import Any
 
 from spherejax.compiler.native import compile as machine_code
-from spherejax.compiler.native.loop_fusion import fuse_loops
+from spherejax.compiler.native.loop_fusion import fuse_loops, whole_loops
 
 
 class native_code:  # noqa: N801 - a context manager, as those of contextlib
@@ -16,14 +16,15 @@ class native_code:  # noqa: N801 - a context manager, as those of contextlib
 
     As a decorator it does more: loops in the function that call machine code become machine code as a whole, or have
     the rest of each turn in few kernels. A context cannot do that, because it does not see the loops. A function that
-    is decorated is not to be differentiated: derivative rules of its parts are lost.
+    is decorated is not to be differentiated: derivative rules of its parts are lost. With `joins=False` a loop that
+    cannot be machine code as a whole is left as it is: derivatives have branches that XLA cannot write into kernels.
 
     Without llvmlite, on a GPU, under `jax.disable_jit()` and with a version of jaxlib that is not known, the context
     changes nothing, and XLA compiles everything.
     """
 
-    def __init__(self, enabled: bool = True):
-        self._enabled = enabled
+    def __init__(self, enabled: bool = True, joins: bool = True):
+        self._enabled, self._joins = enabled, joins
         # One stack for each entry: the same object may be entered again within itself.
         self._entered: list[ExitStack] = []
 
@@ -39,7 +40,7 @@ class native_code:  # noqa: N801 - a context manager, as those of contextlib
 
     def __call__(self, function: Callable) -> Callable:
         """The same function within the context, with fused loops."""
-        fused = fuse_loops(function)
+        fused = (fuse_loops if self._joins else whole_loops)(function)
 
         def made(*arguments: Any) -> Any:
             with machine_code.native_code(self._enabled):

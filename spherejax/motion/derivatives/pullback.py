@@ -36,7 +36,7 @@ from spherejax.model.system import example_of
 from spherejax.motion.equations.contacts import kinks_of
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import Program, program_for
-from spherejax.motion.integration.compiling import in_machine_code, options_for
+from spherejax.motion.integration.compiling import in_machine_code, native_run, options_for
 from spherejax.motion.integration.implicit_rows import differentiable_solver
 from spherejax.motion.integration.jobs import Job, JobKind, with_slopes
 from spherejax.motion.integration.lanes import Block, LaneProblem, StepLog, steps_in_lanes
@@ -61,17 +61,12 @@ from spherejax.motion.solvers.traits import is_explicit, is_linearly_implicit
 from spherejax.physics.forces.remembering import SAME_INSTANT
 from spherejax.program_cache import cached_jit
 
-ROOM = 1024
-"""Steps of a stretch. A program fills the room with NaN when it begins: 1 MB for a four-bar, 0.1 ms."""
-
-MIXTURE_FACTOR = 0.1
-"""Errors of the one sensitivity that stands for all are allowed to be this share of those of rows for each number.
-
-A ball that forty sines drive through four impacts with friction: gradients are right to 2e-5 with 1, to 1.5e-6 with
-0.1 at an rtol of 1e-8 and 1e-9, where rows for all numbers have 1e-7. It takes a third more steps."""
+ROOM, ROOM_WITH_CONTACT = 1024, 4096
+"""Steps of a stretch. All stretches but the last are made twice. A program fills the room with NaN when it begins: with
+contact 4 MB for a four-bar, 0.4 ms, of which no run with its impacts takes less than ten times as much."""
 
 N_STRETCHES = 4096
-"""So many of them, four million steps; the gradient of a run with more is NaN."""
+"""So many of them, four million steps and more; the gradient of a run with more is NaN."""
 
 
 class _Sweep(NamedTuple):
@@ -129,8 +124,7 @@ def pulled_back(
         by_assembly: those by how the start was assembled; None where it does not depend on that.
         along: the direction in the numbers whose sensitivity is carried along; None for a mixture of all.
     """
-    # Straight lines of a thousand operations and more, back as well as forward, take XLA minutes. What lies between
-    # them is not joined (`native_run`): of the way back through a contact XLA (JAX 0.10) cannot compile a branch then.
+    # Straight lines of a thousand operations and more, back as well as forward, take XLA minutes.
     with program_for(state_rate, plan.structure, plan.scalar).native_code(in_machine_code(plan)):
         return _pulled_back(plan, method, inputs, by_ys, by_assembly, along)
 
@@ -150,16 +144,15 @@ def _pulled_back(plan: Plan, method: RunMethod, inputs: RunInputs, by_ys, by_ass
         return lane_job(plan, method, inputs._replace(values=values))
 
     job, _ = with_slopes(job_of_values, values, along[None])
-    factor = jnp.asarray(method.factor(plan.structure)) * MIXTURE_FACTOR
+    factor = jnp.asarray(method.factor(plan.structure))
     job = job._replace(numbers=job.numbers._replace(tangent_tolerance_factor=factor))
     # Where explicit steps go over kinks by a step of their own, straight ones that begin behind them take their place.
     is_straight = is_explicit(method.rest) and bool(kinks_of(plan.structure))
-    kind = JobKind.of(plan, method, with_rows=True, moving=plan.unknown, by_steps=is_straight)
-    problem = kind.problem(ts, method.shared)._replace(max_steps=ROOM)
-
+    kind = JobKind.of(plan, method, with_rows=True, moving=plan.unknown, by_steps=is_straight, is_mixture=True)
     rate = program_for(state_rate, plan.structure, plan.scalar)
     parameters, to_values = jax.vjp(partial(parameters_from, plan, rate, known), values)
     back = _StepsBack(plan, method, rate, parameters, ts, by_ys)
+    problem = kind.problem(ts, method.shared)._replace(max_steps=back.room)
     n = jnp.asarray(ts.shape[0] - 1)
     sweep = _Sweep(jnp.zeros(job.y0.shape[1:]), jax.tree.map(jnp.zeros_like, parameters), n)
     stretches = _Stretches(
@@ -196,7 +189,7 @@ def _with_stretch(problem: LaneProblem, job: Job, t_end, back: "_StepsBack", str
     ends = jnp.stack([t, t_end])
     own = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], (job.numbers, rows, stretches.is_sound, job.status))
     numbers, first, may_run, status = own
-    outcome, log = steps_in_lanes(problem, numbers, first, ends, may_run, status, Block(), ROOM, ())
+    outcome, log = steps_in_lanes(problem, numbers, first, ends, may_run, status, Block(), back.room, ())
     n_steps, is_full = outcome.n_accepted[0], outcome.status[0] == Status.TOO_MANY_STEPS
     is_sound = (outcome.status[0] == Status.SUCCEEDED) | (is_full & (n_steps > 0))
     notes = is_full & ~stretches.goes_back
@@ -227,10 +220,11 @@ class _StepsBack:
         self.correct, self.event = correction_for(plan), event_of(plan, rate)
         self.taken = samples_of(plan.structure, plan.scalar)
         self.contacts = contacts_of(plan.structure, plan.scalar)
+        self.room = ROOM if self.contacts is None else ROOM_WITH_CONTACT
         self.has_kinks = self.contacts is not None and bool(self.contacts.kinks)
         solver = method.solver
         self.interpolation = solver.interpolation_cls
-        self.is_explicit = is_explicit(solver)
+        self.is_explicit, self.is_native = is_explicit(solver), in_machine_code(plan)
         if self.is_explicit:
             self.tableau = explicit_tableau(solver.tableau, len(solver.tableau.b_sol), [solver.tableau.b_sol])
         else:
@@ -248,7 +242,11 @@ class _StepsBack:
             size, bend = log.trials[0, i, 0], log.trials[0, i, 1]
             return i - 1, self._step_back(t, y, ends[i], states[i], size, bend, sweep)
 
-        return jax.lax.while_loop(lambda carry: carry[0] >= 0, one_step_back, (n_steps - 1, sweep))[1]
+        def all_back():
+            return jax.lax.while_loop(lambda carry: carry[0] >= 0, one_step_back, (n_steps - 1, sweep))[1]
+
+        # Not joined where it has to be left to XLA, which (JAX 0.10) cannot compile a branch of a contact then.
+        return native_run(all_back, self.is_native, joins=False)
 
     def _step_back(self, t, y, t_next, y_next, size, bend, sweep: _Sweep) -> _Sweep:
         """Back along one step, that was kept from a trial step of a size [s], made in a bent time."""

@@ -41,14 +41,15 @@ def in_machine_code(plan: Any) -> bool:
     return program_for(state_rate, plan.structure, plan.scalar).scalar is not None
 
 
-def native_run(function: Callable[[], Any], is_native: bool) -> Any:
+def native_run(function: Callable[[], Any], is_native: bool, joins: bool = True) -> Any:
     """What a function returns that holds the loop of a run.
 
     Args:
         function: without arguments, not to be differentiated.
-        is_native: whether its programs become machine code, and what lies between them in a loop is joined.
+        is_native: whether its programs become machine code, and its loop as a whole where that can be.
+        joins: whether what lies between the programs of another loop is put into few kernels.
     """
-    return native_code(is_native)(function)()
+    return native_code(is_native, joins)(function)()
 
 
 def is_large(plan: Any) -> bool:

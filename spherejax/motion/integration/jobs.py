@@ -118,6 +118,8 @@ class JobKind:
             that of this package.
         by_steps: whether derivatives are taken of the steps that are made, in reverse or once more: explicit ones are
             made in straight time, and those of Rosenbrock methods with the state's matrix for all rows.
+        is_mixture: whether one row stands for the sensitivities by all numbers: then it is judged by its own size,
+            with explicit methods. Those of Rosenbrock methods have error estimates far above their errors.
     """
 
     structure: Structure
@@ -129,6 +131,7 @@ class JobKind:
     moving: tuple[int, ...] | None = None
     control: Any = None
     by_steps: bool = False
+    is_mixture: bool = False
 
     @classmethod
     def of(cls, plan: Plan, method: RunMethod, **others: Any) -> "JobKind":
@@ -191,9 +194,11 @@ class JobKind:
             return usual if numbers.tangent_tolerance_factor is None else numbers.tangent_tolerance_factor
 
         contacts = None if problem.contacts is None else with_rows(problem.contacts, rate)
+        by_own_size = self.is_mixture and is_explicit(self.solver)
         return problem._replace(
             solver=self._over_kinks(self._solver_of_rows(solver, rate), contacts),
-            controller_of=lambda numbers: judging_rows(problem.controller_of(numbers), factor(numbers)),
+            controller_of=lambda numbers: judging_rows(problem.controller_of(numbers), factor(numbers), by_own_size),
+            judges_by_own_size=by_own_size,
             tangent_tolerance_factor=factor,
             rate=lambda t, rows, numbers: rows_rate(rate, numbers, t, rows),
             correct=correcting_rows(problem.correct),

@@ -27,6 +27,7 @@ row: only differences t_i - t_0 count.
 """
 
 from collections.abc import Callable
+from dataclasses import fields
 from typing import Any, NamedTuple
 
 import diffrax
@@ -207,12 +208,35 @@ def unseen_of_first_row(unseen: Unseen | None) -> Unseen | None:
     return None if unseen is None else unseen._replace(signals=signals)
 
 
-def judging_rows(controller, factor: float = 1.0):
+LEAST_SHARE = 1e-6
+"""Of the state's absolute tolerance, for a mixture that is small; below it rounding would be followed."""
+
+
+def share_of_own_size(y0, y1, atol, rtol) -> Float[Array, " rows"]:
+    """By how much the errors of rows are judged more strictly because the rows are small.
+
+    A row of derivatives by numbers that hardly matter is far below the state, in the same units, and its errors vanish
+    in the state's absolute tolerance. With this share each row is judged by its own largest part,
+
+        share = max_i (|Y_i| rtol_i / atol_i),    within 1e-6 and 1,
+
+    for then atol_i share is rtol_i times that part, in the units of the entry.
+
+    Args:
+        y0, y1: rows at both ends of a step, shape (rows, size) or with lanes behind.
+        atol, rtol: tolerances of each entry.
+    """
+    of_entries = jnp.maximum(jnp.abs(y0), jnp.abs(y1)) * rtol / atol
+    return jnp.clip(jnp.max(of_entries, axis=1), LEAST_SHARE, 1.0)
+
+
+def judging_rows(controller, factor: float = 1.0, by_own_size: bool = False):
     """The controller with the norm of the worst row, so that many numbers do not dilute the error of one.
 
     Args:
         controller: a diffrax controller.
         factor: how much larger the errors of the sensitivities may be than those of the state.
+        by_own_size: whether rows below the state are judged by `share_of_own_size`.
     """
     if not isinstance(controller, diffrax.PIDController):
         return controller
@@ -221,4 +245,20 @@ def judging_rows(controller, factor: float = 1.0):
     def worst(errors):
         return jnp.maximum(norm(errors[0]), jnp.max(jax.vmap(norm)(errors[1:])) / factor)
 
-    return eqx.tree_at(lambda c: c.norm, controller, worst)
+    judging = eqx.tree_at(lambda c: c.norm, controller, worst)
+    return (
+        _ByOwnSize(**{field.name: getattr(judging, field.name) for field in fields(judging)})
+        if by_own_size
+        else judging
+    )
+
+
+class _ByOwnSize(diffrax.PIDController):
+    """The controller for rows that are judged by `share_of_own_size`."""
+
+    def adapt_step_size(self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state):
+        """As diffrax's, with errors that are larger by the share."""
+        assert y_error is not None  # of a method that estimates none there is no such controller
+        share = share_of_own_size(y0, y1_candidate, self.atol, self.rtol)
+        error = jnp.concatenate([y_error[:1], y_error[1:] / share[1:, None]])
+        return super().adapt_step_size(t0, t1, y0, y1_candidate, args, error, error_order, controller_state)

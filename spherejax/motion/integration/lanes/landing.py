@@ -34,6 +34,7 @@ from spherejax.motion.integration.lanes.control import BlockSteps, Judgment
 from spherejax.motion.integration.lanes.first_step import InitialStepProbe, first_look, first_size, looked_along
 from spherejax.motion.integration.lanes.stages import ExplicitStages, own_time
 from spherejax.motion.integration.sampling import SampledElements
+from spherejax.motion.integration.sensitivity_rows import share_of_own_size
 from spherejax.motion.solvers.crossing_search import FoundCrossings, crossing_fraction, first_event
 from spherejax.motion.solvers.landing import (
     LANDING_WINDOW,
@@ -493,6 +494,9 @@ class Landing:
         # diffrax's scale: of the larger of both ends.
         scale = atol + jnp.maximum(jnp.abs(step.y0), jnp.abs(step.y1)) * rtol
         by_row = self._by_row(step.error / scale)
+        if self.problem.judges_by_own_size:
+            share = share_of_own_size(step.y0, step.y1, atol, rtol)
+            by_row = jnp.concatenate([by_row[:1], by_row[1:] / share[1:]])
         # Each row of derivatives is judged by itself: a mean would let one bad derivative hide among many good ones.
         error = jnp.maximum(by_row[0], jnp.max(by_row[1:], axis=0, initial=0.0) / factor)
         is_right = jnp.logical_not(jnp.isnan(error))

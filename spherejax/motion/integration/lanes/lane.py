@@ -56,6 +56,7 @@ class LaneProblem(NamedTuple):
         unseen: looks between the stages for pulses of functions of time, or None.
         lands_inside: whether steps of explicit methods may end on events inside them, in a time of their own; not with
             a controller of a user's, and not where derivatives are taken of the steps.
+        judges_by_own_size: whether errors of sensitivities are judged by their own largest part where that is small.
     """
 
     solver: diffrax.AbstractSolver
@@ -76,6 +77,7 @@ class LaneProblem(NamedTuple):
     moving: tuple[int, ...] | None = None
     unseen: Unseen | None = None
     lands_inside: bool = True
+    judges_by_own_size: bool = False
 
 
 class StepLog(NamedTuple):
