@@ -55,9 +55,9 @@ class Picked:
 
     def among(self, n: int) -> np.ndarray:
         """Which of n numbers of a system are picked."""
-        found = np.zeros(n, bool)
-        found[self._flat[self._flat < n]] = True
-        return found
+        is_picked = np.zeros(n, bool)
+        is_picked[self._flat[self._flat < n]] = True
+        return is_picked
 
 
 def picked(function: Callable[[System], Any], structure: Structure) -> Picked | None:

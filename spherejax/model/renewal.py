@@ -145,7 +145,7 @@ class Compilation:
         changed = [part.seen for part in parts]
         at, placed, by_factor = self._frame.gravity
         if at in leaves:
-            conditions += [found for where, what in scene_requirements(scene) for found in enforce(where, what)]
+            conditions += [one for where, what in scene_requirements(scene) for one in enforce(where, what)]
             system[placed] = seen[by_factor] = own(scene.gravity)
             changed.append(slice(by_factor, by_factor + 1))
         for part in parts:
@@ -212,10 +212,10 @@ class _SharedByScenes:
 
     @cached_property
     def _part_of(self) -> list[int | None]:
-        found: list[int | None] = [None] * self._of[0].num_leaves
+        part_of: list[int | None] = [None] * self._of[0].num_leaves
         for k, part in enumerate(self._parts):
-            found[part.described] = [k] * (part.described.stop - part.described.start)
-        return found
+            part_of[part.described] = [k] * (part.described.stop - part.described.start)
+        return part_of
 
     @cached_property
     def _whole(self) -> System:
@@ -244,7 +244,7 @@ class _SharedByScenes:
 
     def parts_of(self, leaves: list[int]) -> list[_PlacesOfPart] | None:
         """The parts that leaves belong to; None where another geometry or drift control is among them."""
-        found = {self._part_of[i] for i in leaves}
+        parts = {self._part_of[i] for i in leaves}
         for i in leaves:
             part = self._part_of[i]
             if i == self.gravity[0]:
@@ -254,7 +254,7 @@ class _SharedByScenes:
             kind, _, described, *_ = self._parts[part]
             if kind == "body" and i - described.start not in NOT_DRAWN:
                 return None
-        return [part for k, part in enumerate(self._parts) if k in found]
+        return [part for k, part in enumerate(self._parts) if k in parts]
 
     def made(self, part: _PlacesOfPart, described: Any, scene: Scene) -> Any:
         """What is made of a part for the system; None where it says something else of itself than before."""
@@ -275,13 +275,13 @@ class _SharedByScenes:
 @lru_cache(maxsize=256)
 def _places(tree: Any) -> Mapping[tuple[str, str], tuple[slice, Any]]:
     """Where the leaves of each part of a scene or a system are, and their structure, by field and name."""
-    found, start = {}, 0
+    places, start = {}, 0
     for field, of_field in zip(FIELDS.values(), tree.children(), strict=False):  # gravity and others follow
         _, names = of_field.node_data()  # sorted, by JAX
         for name, part in zip(names, of_field.children(), strict=True):
-            found[field, name] = slice(start, start + part.num_leaves), part
+            places[field, name] = slice(start, start + part.num_leaves), part
             start += part.num_leaves
-    return found
+    return places
 
 
 def _traced(leaf: Any) -> tuple | None:
