@@ -25,6 +25,10 @@ class PrecisionError(RuntimeError):
     """JAX runs in 32-bit mode, which cannot carry penetrations of 1e-8 m beside positions of 0.1 m."""
 
 
+OFF, ON = ("0", "off", "no", "false"), ("1", "on", "yes", "true")
+"""Words of `SPHEREJAX_CACHE` that are no folders: taken for ones, they would be made where the process stands."""
+
+
 def configure(*, cache: str | os.PathLike | None = None) -> None:
     """Switch on 64-bit numbers, the compiler flags and the cache; called by `import spherejax`.
 
@@ -34,8 +38,8 @@ def configure(*, cache: str | os.PathLike | None = None) -> None:
 
     Args:
         cache: a folder for compiled programs. None: the folder that the environment variable `SPHEREJAX_CACHE` names,
-            or else `spherejax` in the user's cache folder ($XDG_CACHE_HOME, or ~/.cache). `SPHEREJAX_CACHE=0` switches
-            that off. Where JAX has been told of a compilation cache already, it keeps that one for what it compiles.
+            or else `spherejax` in the user's cache folder ($XDG_CACHE_HOME, or ~/.cache). `SPHEREJAX_CACHE=0` (also
+            `off`, `no`, `false`) switches that off; `1`, `on`, `yes` and `true` are that folder. Where JAX has been told of a compilation cache already, it keeps that one for what it compiles.
 
     The files of the cache are code that is executed. Where somebody else could have written them, one
     `ConfigurationWarning` says so, and the process does without a cache; see `program_cache.folders`.
@@ -81,8 +85,10 @@ def is_command() -> bool:
 
 def _keep_programs(asked: str | os.PathLike | None) -> None:
     named = os.environ.get("SPHEREJAX_CACHE", "")
-    if asked is None and named == "0":
+    if asked is None and named.lower() in OFF:
         return
+    if named.lower() in ON:
+        named = ""
     try:
         folder = folders.use(Path(asked or named or _users_own()))
     except OSError:

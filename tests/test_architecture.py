@@ -253,3 +253,18 @@ def test_checks_can_fail(tmp_path):
     assert not goes_down(PACKAGE / "physics" / "bad.py", "spherejax.motion.runs.simulate")
     assert not goes_down(PACKAGE / "studies" / "bad.py", "spherejax.motion.nothing")
     assert between_rooms("motion", ROOMS[::-1])
+
+
+TOP_LEVEL = {"pyproject.toml", "spherejax", "tests", "notebooks", "benchmarks", "README.md", "docs"} | {
+    "LICENSE", "CHANGELOG.md", "CITATION.cff", "CODE_OF_CONDUCT.md", "CONTRIBUTING.md", "SECURITY.md", "SUPPORT.md",
+}  # fmt: skip
+
+
+def test_nothing_stands_at_the_top_by_accident():
+    """Folders of compiled programs were committed once, which a run had made where it stood."""
+    repository = Path(__file__).parent.parent
+    listing = subprocess.run(["git", "ls-files"], cwd=repository, capture_output=True, text=True, check=False)
+    if listing.returncode:
+        pytest.skip("not a clone")
+    names = {line.split("/")[0] for line in listing.stdout.splitlines()}
+    assert {name for name in names if not name.startswith(".")} <= TOP_LEVEL

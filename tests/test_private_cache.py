@@ -77,6 +77,19 @@ def foreign(path):
 # Where ----------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize(("word", "is_on"), [("0", False), ("off", False), ("False", False), ("1", True), ("on", True)])
+def test_a_switch_is_no_folder(word, is_on, tmp_path):
+    code = "import spherejax, jax; print(jax.config.values['jax_compilation_cache_dir'])"
+    environment = {**os.environ, "SPHEREJAX_CACHE": word, "XDG_CACHE_HOME": str(tmp_path / "users"), "PYTHONPATH": ""}
+    environment.pop("JAX_COMPILATION_CACHE_DIR", None)
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment, cwd=tmp_path, check=True, capture_output=True, text=True
+    )
+    folder = done.stdout.strip()
+    assert folder.startswith(str(tmp_path / "users")) if is_on else folder == "None"
+    assert not (tmp_path / word).exists()
+
+
 @pytest.mark.parametrize("umask", [0o022, 0o002, 0o000])
 def test_a_folder_that_is_made_is_private_whatever_the_umask(cache, umask):
     before = os.umask(umask)
