@@ -39,8 +39,8 @@ def configure(*, cache: str | os.PathLike | None = None) -> None:
     Args:
         cache: a folder for compiled programs. None: the folder that the environment variable `SPHEREJAX_CACHE` names,
             or else `spherejax` in the user's cache folder ($XDG_CACHE_HOME, or ~/.cache). `SPHEREJAX_CACHE=0` (also
-            `off`, `no`, `false`) switches that off; `1`, `on`, `yes` and `true` are that folder. Where JAX has been told
-            of a compilation cache already, it keeps that one for what it compiles.
+            `off`, `no`, `false`) switches that off; `1`, `on`, `yes` and `true` are that folder. Where JAX has been
+            told of a compilation cache already, it keeps that one for what it compiles.
 
     The files of the cache are code that is executed. Where somebody else could have written them, one
     `ConfigurationWarning` says so, and the process does without a cache; see `program_cache.folders`.
