@@ -61,7 +61,8 @@ from .physics.laws.oil import (
     VogelViscosity,
 )
 from .physics.laws.pressure import AbstractPressure, CosinePressure, PointContact, PreloadAlone, UniformPressure
-from .physics.laws.thickening import BarusThickening
+from .physics.laws.roelands import RoelandsThickening
+from .physics.laws.thickening import AbstractThickening, BarusThickening
 from .physics.laws.viscoelastic import Berg, Maxwell
 from .physics.memory import MemoryEntry
 
@@ -78,6 +79,7 @@ __all__ = [
     "AbstractOilViscosity",
     "AbstractPressure",
     "AbstractStaticFriction",
+    "AbstractThickening",
     "Ambrosio",
     "BarusThickening",
     "BearingHeat",
@@ -124,6 +126,7 @@ __all__ = [
     "RadialFilm",
     "Requirement",
     "ReynoldsViscosity",
+    "RoelandsThickening",
     "ShearFactors",
     "ShortBearing",
     "Sommerfeld",

@@ -406,7 +406,7 @@ def test_an_existing_file_is_replaced_only_on_request_and_never_by_a_failure(tmp
 FAMILIES = tuple(
     family for family in every_name().values() if inspect.isclass(family) and family.__name__.startswith("Abstract")
 )
-NO_FAMILY = (sj.Body, sj.Material, sj.laws.Maxwell, sj.laws.Berg, sj.laws.BarusThickening)
+NO_FAMILY = (sj.Body, sj.Material, sj.laws.Maxwell, sj.laws.Berg)
 NO_KIND = {sj.functions.UserFunction: "holds a user's own function, which a file names instead"}
 PUBLIC = [
     cls

@@ -1,4 +1,5 @@
-"""Oil that thickens under the film's pressure: Reynolds' equation, loads by other integrals, runs, limits."""
+"""Oil that thickens under the film's pressure, by Barus' law and by Roelands': Reynolds' equation, loads by other
+integrals, runs, limits."""
 
 import math
 
@@ -7,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
+from scipy.integrate import quad, solve_ivp
 from scipy.optimize import brentq
 
 import spherejax as sj
@@ -133,6 +134,85 @@ def test_the_pressure_obeys_reynolds_equation_with_its_own_viscosity():
     assert np.linalg.norm(force) > 1.25 * float(jnp.linalg.norm(film.action(motion, gap(GUEMBEL)).force))
 
 
+P_0, ETA_R = 1.962e8, math.exp(-9.67)
+
+
+def roelands(viscosity, index):
+    """eta(p)/eta_0, and the pressure at which that is so many times one."""
+    logarithm = math.log(viscosity / ETA_R)
+
+    def ratio(p):
+        return math.exp(logarithm * ((1 + p / P_0) ** index - 1))
+
+    def pressure(times):
+        return P_0 * ((1 + math.log(times) / logarithm) ** (1 / index) - 1)
+
+    return ratio, pressure
+
+
+@pytest.mark.parametrize(("viscosity", "tolerance"), [(0.003, 1e-5), (0.05, 2e-7), (0.4, 2e-8), (5.0, 2e-9)])
+@pytest.mark.parametrize("index", [0.4, 0.6, 0.7, 1.3])
+def test_pressure_and_viscosity_are_roelands_at_its_reduced_pressure(index, viscosity, tolerance):
+    """q is the integral of eta_0/eta(p) dp, by SciPy; from half of the viscosity to ten times it."""
+    ratio, pressure = roelands(viscosity, index)
+    oil = sj.laws.RoelandsThickening(index).of_viscosity(viscosity)
+    pressures = np.array([pressure(times) for times in (0.51, 0.8, 0.99, 1.01, 1.5, 2.5, 4.0, 6.0, 9.9)])
+    reduced = np.array([quad(lambda p: 1 / ratio(p), 0.0, end, epsabs=0.0, epsrel=1e-11)[0] for end in pressures])
+    excess = oil.excess(jnp.asarray(reduced))
+    np.testing.assert_allclose(reduced + excess.pressure, pressures, atol=tolerance * pressures.max())
+    np.testing.assert_allclose(1 + excess.viscosity, [ratio(p) for p in pressures], rtol=tolerance)
+    # Beyond, straight on: the pressure by its slope, which is the viscosity's ratio.
+    end = quad(lambda p: 1 / ratio(p), 0.0, pressure(10.0), epsabs=0.0, epsrel=1e-11)[0]
+    far = oil.excess(jnp.array([1.1 * end, 1.2 * end]))
+    slope = float(jnp.diff(far.pressure)[0]) / (0.1 * end) + 1
+    assert slope == pytest.approx(10.0, rel=1e-5)
+    assert float(far.viscosity[0]) == pytest.approx(9 + 0.1 * end * ten_fold_slope(ratio, pressure), rel=1e-3)
+
+
+def ten_fold_slope(ratio, pressure):
+    """d(eta/eta_0)/dq = eta/eta_0 d(eta/eta_0)/dp at ten times the viscosity, by differences."""
+    p = pressure(10.0)
+    return 10.0 * (ratio(1.0001 * p) - ratio(0.9999 * p)) / (2e-4 * p)
+
+
+def test_with_the_index_one_it_is_barus_law():
+    alpha = math.log(VISCOSITY / ETA_R) / P_0
+    reduced = jnp.linspace(-0.9, 1.2, 43) / alpha
+    one = sj.laws.RoelandsThickening(1.0).of_viscosity(VISCOSITY).excess(reduced)
+    other = sj.laws.BarusThickening(alpha).excess(reduced)
+    for mine, its in zip(one, other, strict=True):
+        np.testing.assert_allclose(mine, its, rtol=1e-4, atol=1e-9 * float(jnp.max(jnp.abs(its))))
+
+
+@pytest.mark.slow
+def test_roelands_pressure_obeys_reynolds_equation_with_its_viscosity():
+    """As that of Barus, in a short bearing whose oil becomes three times as thick."""
+    film, e, speed, viscosity, index = FILMS["short"], np.array([0.8 * CLEARANCE, 0.0, 0.0]), 120.0, 0.4, 0.6
+    motion = FilmMotion(jnp.asarray(e), jnp.zeros(3), jnp.zeros(3), speed * AXIS, AXIS)
+    ratio, _ = roelands(viscosity, index)
+    v = swept(motion)
+    nodes, weights = np.polynomial.legendre.leggauss(60)
+    middle = math.atan2(v[1], v[0])
+    force, largest = np.zeros(3), 1.0
+    for node, weight in zip(nodes, weights, strict=True):
+        angle = middle + node * math.pi / 2
+        u = np.array([math.cos(angle), math.sin(angle), 0.0])
+        drive = 12 * viscosity * (v @ u) / (CLEARANCE - e @ u) ** 3
+
+        def inward(x, y, drive=drive):
+            return [drive * (LENGTH / 2 - x) * ratio(y[0]), y[0]]
+
+        solution = solve_ivp(inward, (0.0, LENGTH / 2), [0.0, 0.0], rtol=1e-9, atol=1e-6)
+        largest = max(largest, ratio(solution.y[0, -1]))
+        force -= weight * math.pi / 2 * RADIUS * 2 * solution.y[1, -1] * u
+    oil = FilmGap(CLEARANCE, RADIUS, viscosity, 0.0, GUEMBEL, sj.laws.RoelandsThickening(index))
+    thick = film.action(motion, oil)
+    np.testing.assert_allclose(thick.force, force, atol=1e-3 * np.linalg.norm(force))
+    thin = film.action(motion, oil._replace(thickening=None))
+    assert largest > 3
+    assert np.linalg.norm(force) > 1.25 * float(jnp.linalg.norm(thin.force))
+
+
 def test_little_thickening_changes_little_and_the_film_is_the_same_without():
     for name, film in FILMS.items():
         motion = moved(name, 0.6, 3)
@@ -198,21 +278,26 @@ def test_oil_that_thickens_without_bound_is_said():
     assert run.succeeded
 
 
+LAWS = {"Barus": (sj.laws.BarusThickening, 5e-8), "Roelands": (sj.laws.RoelandsThickening, 0.9)}
+
+
 @pytest.mark.slow
+@pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("name", ["short", "ball"])
-def test_every_number_has_its_derivative(name):
-    """Of the place after a while, forward against differences: alpha, viscosity, clearance, radius."""
-    start = jnp.array([5e-8, VISCOSITY, CLEARANCE, RADIUS])
+def test_every_number_has_its_derivative(name, law):
+    """Of the place after a while, forward against differences: alpha or index, viscosity, clearance, radius."""
+    law_of, number = LAWS[law]
+    start = jnp.array([number, VISCOSITY, CLEARANCE, RADIUS])
 
     def final(numbers):
-        alpha, viscosity, c, radius = numbers
+        number, viscosity, c, radius = numbers
         model = sj.Lubricated(
             c,
             viscosity,
             socket_radius=radius,
             film=FILMS[name],
             normal=sj.Hertz(stiffness=1e10),
-            thickening=sj.laws.BarusThickening(alpha),
+            thickening=law_of(number),
         )
         joint, scene = ("joint", socket(model)) if name == "ball" else ("bearing", journal(model, 1000.0))
         return sj.simulate(scene, [0.0, 0.01], rtol=1e-9).eccentricity(joint)[-1] / CLEARANCE
@@ -228,15 +313,20 @@ def test_every_number_has_its_derivative(name):
 # Limits, errors, files, cost
 
 
+@pytest.mark.parametrize(
+    ("law_of", "numbers"),
+    [(sj.laws.BarusThickening, (1e-10, 1e-3)), (sj.laws.RoelandsThickening, (0.3, 1.3))],
+    ids=["Barus", "Roelands"],
+)
 @pytest.mark.parametrize("name", FILMS)
-def test_nothing_that_can_be_reached_is_not_a_number(name):
+def test_nothing_that_can_be_reached_is_not_a_number(name, law_of, numbers):
     """At rest, centered, along and across, near the wall and beyond; thin and far too thick; and derivatives."""
 
     @jax.jit
     @jax.vmap
-    def answer(e, rate, across, spin, alpha):
-        def of(e, rate, alpha):
-            model = model_of(sj.laws.BarusThickening(alpha), name)
+    def answer(e, rate, across, spin, number):
+        def of(e, rate, number):
+            model = model_of(law_of(number), name)
             motion = RelativeMotion(
                 jnp.array([1.0, 0.0, 0.0]) * e,
                 jnp.array([rate, across * rate, 0.0]),
@@ -248,14 +338,14 @@ def test_nothing_that_can_be_reached_is_not_a_number(name):
             response = model.respond(motion, jnp.where(e > CLEARANCE, 1e-3, 0.0)[None])
             return jnp.concatenate([response.force, response.ball_moment, response.socket_moment])
 
-        return of(e, rate, alpha), jax.jacfwd(of, (0, 1, 2))(e, rate, alpha)
+        return of(e, rate, number), jax.jacfwd(of, (0, 1, 2))(e, rate, number)
 
     grid = jnp.meshgrid(
         jnp.array([0.0, 5e-5, 9.9e-5, 1.2e-4]),
         jnp.array([0.0, -1.0]),
         jnp.array([0.0, 1.0]),
         jnp.array([0.0, 300.0]),
-        jnp.array([1e-10, 1e-3]),
+        jnp.array(numbers),
         indexing="ij",
     )
     found = answer(*(axis.ravel() for axis in grid))
@@ -266,6 +356,8 @@ def test_nothing_that_can_be_reached_is_not_a_number(name):
     ("options", "said"),
     [
         ({"thickening": sj.laws.BarusThickening(0.0)}, r"thickening\.coefficient = 0 must be positive.*1/Pa"),
+        ({"thickening": sj.laws.RoelandsThickening(2.0)}, r"thickening\.index = 2 must lie in \[0\.3, 1\.3\]"),
+        ({"thickening": sj.laws.RoelandsThickening(0.6, 0.0)}, r"thickening\.pressure = 0 must be positive.*Pa"),
         (
             {"thickening": sj.laws.BarusThickening(2e-8), "film": sj.laws.RadialFilm()},
             r"film = 'RadialFilm' must know oil that thickens.*FullFilm",
@@ -285,16 +377,23 @@ def test_a_file_gives_the_coefficient_with_its_unit(tmp_path):
     path.write_text(path.read_text().replace("coefficient = 2e-08", 'coefficient = "20 1/GPa"'))
     law = sj.load_scene(path).joints["bearing"].model.thickening
     assert law.coefficient == pytest.approx(2e-8)
-
-
-@pytest.mark.parametrize("name", ["short", "ball"])
-def test_effects_say_what_thickening_costs_and_thin_oil_has_none_of_it(name):
-    build = (lambda model: socket(model)) if name == "ball" else (lambda model: journal(model, 100.0))
-    thick, thin = (
-        sj.effects(build(model_of(law, name)), timed=False).rows for law in (sj.laws.BarusThickening(2e-8), None)
+    path.write_text(
+        path.read_text()
+        .replace('kind = "barus-thickening"', 'kind = "roelands-thickening"')
+        .replace('coefficient = "20 1/GPa"', 'index = 0.6\npressure = "196 MPa"')
     )
+    law = sj.load_scene(path).joints["bearing"].model.thickening
+    assert isinstance(law, sj.laws.RoelandsThickening)
+    assert (law.index, law.pressure) == (0.6, 1.96e8)
+
+
+@pytest.mark.parametrize("law", [sj.laws.BarusThickening(2e-8), sj.laws.RoelandsThickening(0.6)])
+@pytest.mark.parametrize("name", ["short", "ball"])
+def test_effects_say_what_thickening_costs_and_thin_oil_has_none_of_it(name, law):
+    build = (lambda model: socket(model)) if name == "ball" else (lambda model: journal(model, 100.0))
+    thick, thin = (sj.effects(build(model_of(oil, name)), timed=False).rows for oil in (law, None))
     assert [row[1:-1] for row in thick[:-1]] == [row[1:-1] for row in thin]
     last, before = thick[-1], thick[-2]
-    assert last.effect == "viscosity by pressure (BarusThickening)"
+    assert last.effect == f"viscosity by pressure ({type(law).__name__})"
     assert last.n_states == before.n_states
-    assert 100 < last.n_operations - before.n_operations < 5000
+    assert 100 < last.n_operations - before.n_operations < 9000

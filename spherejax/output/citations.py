@@ -72,6 +72,11 @@ WORKS: Mapping[str, Work] = {
         "Barus, C.", "Isothermals, isopiestics and isometrics relative to viscosity",
         "American Journal of Science", "45", "87-96", 1893,
     ),
+    "Roelands (1966)": Work(
+        "Roelands, C. J. A.",
+        "Correlational aspects of the viscosity-temperature-pressure relationship of lubricating oils",
+        "Technische Hogeschool Delft", "", "", 1966, "phdthesis",
+    ),
     "Elrod (1981)": Work(
         "Elrod, H. G.", "A cavitation algorithm",
         "Journal of Lubrication Technology", "103", "350-354", 1981,

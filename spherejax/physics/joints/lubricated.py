@@ -32,7 +32,7 @@ from spherejax.physics.laws.friction import AbstractFrictionLaw
 from spherejax.physics.laws.material import Material
 from spherejax.physics.laws.normal import AbstractNormalLaw, HuntCrossleyDissipation
 from spherejax.physics.laws.oil import AbstractOilHeat
-from spherejax.physics.laws.thickening import BarusThickening
+from spherejax.physics.laws.thickening import AbstractThickening
 from spherejax.physics.memory import MemoryEntry
 
 WIDTH_SHARE, OFFSET_SHARE = 0.01, 0.02
@@ -133,7 +133,7 @@ class Lubricated(AbstractClearanceModel):
     ball_material: Material
     conformity: AbstractConformity | None
     heat: AbstractOilHeat | None
-    thickening: BarusThickening | None
+    thickening: AbstractThickening | None
     _ball_radius_given: bool = eqx.field(static=True)
 
     def __init__(
@@ -153,7 +153,7 @@ class Lubricated(AbstractClearanceModel):
         ball_material: Material | None = None,
         conformity: AbstractConformity | None = None,
         heat: AbstractOilHeat | None = None,
-        thickening: BarusThickening | None = None,
+        thickening: AbstractThickening | None = None,
     ):
         self.clearance = clearance_from(clearance, socket_radius, ball_radius)
         self.socket_radius = socket_radius

@@ -188,17 +188,18 @@ class AbstractBearingFilm(AbstractFilm):
         force = -gap.viscosity * self._load(r, velocity, axis, gap)
         petroff = 2.0 * jnp.pi * gap.viscosity * self.length * gap.socket_radius**3 / gap.clearance
         couple = -petroff / jnp.sqrt(1.0 - r @ r) * spin * axis
-        if gap.thickening is not None:
+        if (oil := gap.pressed_oil) is not None:
             braking = petroff / (2.0 * jnp.pi) * spin * axis
             reduced = self.reduced(motion, gap)
-            added = thickened_bearing(gap.thickening, reduced, self.length * gap.socket_radius, braking)
+            added = thickened_bearing(oil, reduced, self.length * gap.socket_radius, braking)
             force, couple = force + added.force, couple + added.couple
         arm = jnp.cross(motion.e, force) / 2
         return FilmAction(force, couple - arm, -couple - arm, -(force @ velocity), -(couple @ axis) * spin)
 
     def range_share(self, motion: FilmMotion, gap: FilmGap) -> Scalar | None:
-        """The largest alpha q as a share of `LARGEST_AT_POINTS`; None for oil that does not thicken."""
-        return None if gap.thickening is None else gap.thickening.range_share(self.reduced(motion, gap).middle)
+        """The largest reduced pressure as a share of what a run says nothing of; None for oil that does not thicken."""
+        oil = gap.pressed_oil
+        return None if oil is None else oil.range_share(self.reduced(motion, gap).middle)
 
     def reduced(self, motion: FilmMotion, gap: FilmGap) -> BearingPressure:
         """The reduced pressure at points round the bearing; of oil that does not thicken the pressure itself."""

@@ -18,7 +18,13 @@ from spherejax.physics.laws.film import (
 )
 from spherejax.physics.laws.full_film import PressurePeak, film_slope, pressure_peak, shear_factors
 from spherejax.physics.laws.oil import OilTransport
-from spherejax.physics.laws.thickening import BallPressure, BarusThickening, ball_pressure, thickened_ball
+from spherejax.physics.laws.thickening import (
+    AbstractThickening,
+    BallPressure,
+    PressedOil,
+    ball_pressure,
+    thickened_ball,
+)
 from spherejax.physics.memory import MemoryEntry
 
 LARGEST_OFFSET_RATIO = 0.05
@@ -43,7 +49,12 @@ class FilmGap(NamedTuple):
     viscosity: Number | Float[Array, " n"]
     transition_offset: Number
     boundary: AbstractFilmBoundary
-    thickening: BarusThickening | None = None
+    thickening: AbstractThickening | None = None
+
+    @property
+    def pressed_oil(self) -> PressedOil | None:
+        """How the oil of this viscosity thickens; None where it does not."""
+        return None if self.thickening is None else self.thickening.of_viscosity(self.viscosity)
 
 
 class FilmMotion(NamedTuple):
@@ -227,18 +238,17 @@ class FullFilm(AbstractFilm):
         across = along + (r @ r) * excess
         # 8 pi nu R^4/(3 c) = 4/9 C c^2
         couple = -4.0 / 9.0 * coefficient * gap.clearance**2 * (across * spin - excess * (r @ spin) * r)
-        if gap.thickening is not None:
+        if (oil := gap.pressed_oil) is not None:
             braking = gap.viscosity * gap.socket_radius**4 / gap.clearance * spin
-            added = thickened_ball(gap.thickening, self._reduced(motion, gap), gap.socket_radius**2, braking)
+            added = thickened_ball(oil, self._reduced(motion, gap), gap.socket_radius**2, braking)
             force, couple = force + added.force, couple + added.couple
         arm = jnp.cross(motion.e, force) / 2
         return FilmAction(force, couple - arm, -couple - arm, -(force @ velocity), -(couple @ spin))
 
     def range_share(self, motion: FilmMotion, gap: FilmGap) -> Scalar | None:
-        """The largest alpha q as a share of `LARGEST_AT_POINTS`; None for oil that does not thicken."""
-        if gap.thickening is None:
-            return None
-        return gap.thickening.range_share(self._reduced(motion, gap).pressure)
+        """The largest reduced pressure as a share of what a run says nothing of; None for oil that does not thicken."""
+        oil = gap.pressed_oil
+        return None if oil is None else oil.range_share(self._reduced(motion, gap).pressure)
 
     def _reduced(self, motion: FilmMotion, gap: FilmGap) -> BallPressure:
         r, scale = ratio_vector(motion, gap), 12.0 * gap.viscosity * gap.socket_radius**2 / gap.clearance**3
@@ -246,10 +256,8 @@ class FullFilm(AbstractFilm):
 
     def pressure_peak(self, motion: FilmMotion, gap: FilmGap) -> PressurePeak:
         """See `pressure_peak`, for V; of oil that thickens the pressure, not the reduced one."""
-        peak = _pressure_peak(swept(motion), motion, gap)
-        if gap.thickening is None:
-            return peak
-        return peak._replace(height=peak.height + gap.thickening.excess(peak.height).pressure)
+        peak, oil = _pressure_peak(swept(motion), motion, gap), gap.pressed_oil
+        return peak if oil is None else peak._replace(height=peak.height + oil.excess(peak.height).pressure)
 
 
 def swept(motion: FilmMotion) -> Vector3:

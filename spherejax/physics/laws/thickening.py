@@ -6,10 +6,12 @@ the gap, into that of a constant viscosity:
     div(h**3/eta grad p) = div(h**3/eta_0 grad q),    p = -ln(1 - alpha q)/alpha,    eta = eta_0/(1 - alpha q)
 
 So the closed forms of `full_film` and `bearings` are of q, and exact; its edge is that of p. What p bears beyond q, and
-what the thicker oil brakes beyond the thin one, is integrated over points of the film.
+what the thicker oil brakes beyond the thin one, is integrated over points of the film. So it is with any law of the
+pressure alone, with q the integral of eta_0/eta(p) dp; see `roelands`.
 """
 
-from typing import Annotated, ClassVar, NamedTuple
+from abc import abstractmethod
+from typing import Annotated, ClassVar, NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -54,7 +56,33 @@ class Excess(NamedTuple):
     viscosity: Array
 
 
-class BarusThickening(AbstractLaw):
+class PressedOil(Protocol):
+    """An oil of some viscosity without pressure, as films ask for it."""
+
+    def excess(self, reduced: Array) -> Excess:
+        """p - q and eta/eta_0 - 1 of a reduced pressure q [Pa]."""
+        ...
+
+    def range_share(self, reduced: Array) -> Scalar:
+        """The largest q as a share of that up to which a run says nothing."""
+        ...
+
+
+class AbstractThickening(AbstractLaw):
+    """How the viscosity of an oil grows with its pressure."""
+
+    beyond_range: ClassVar[str] = (
+        "oil that thickens under pressure came near the bound beyond which its law has no finite pressure (of "
+        "BarusThickening alpha q > 0.7; take a smaller coefficient or index, or a load that such oil can bear)"
+    )
+    """What a run says of it, and what to do."""
+
+    @abstractmethod
+    def of_viscosity(self, viscosity: Number) -> PressedOil:
+        """The law for an oil with the viscosity eta_0 [Pa s] without pressure."""
+
+
+class BarusThickening(AbstractThickening):
     """The viscosity grows exponentially with the pressure: eta(p) = eta_0 exp(alpha p).
 
     The film's pressure is exact, by the reduced pressure q = (1 - exp(-alpha p))/alpha, which obeys Reynolds' equation
@@ -65,18 +93,17 @@ class BarusThickening(AbstractLaw):
         coefficient: alpha [1/Pa]; 1e-8 to 3e-8 for mineral oils.
 
     Limits: load and couple within 1 % up to alpha q = 0.6 at an eccentricity ratio of 0.8, 3 % at 0.9. Mineral oils
-        follow it to some 100 MPa; beyond they thicken less (Roelands). Near p = 0 Roelands' law has
-        alpha = 5.1e-9/Pa Z (ln(eta_0/(1 Pa s)) + 9.67) with its index Z, 0.4 to 0.7 for most oils.
+        follow it to some 100 MPa; beyond they thicken less (`RoelandsThickening`).
 
     Source: Barus (1893), Am. J. Sci. 45:87-96; the reduced pressure is Grubin's.
     """
 
-    beyond_range: ClassVar[str] = (
-        "oil that thickens under pressure came to alpha q > 0.7, near 1 where BarusThickening has no finite pressure "
-        "(take a smaller coefficient alpha, or a load that such oil can bear)"
-    )
-
     coefficient: Annotated[Number, Unit("1/Pa")]
+
+    def of_viscosity(self, viscosity: Number) -> "BarusThickening":
+        """The same: alpha is that of any viscosity."""
+        del viscosity
+        return self
 
     def reduced_share(self, reduced: Array) -> Array:
         """alpha q [-]."""
@@ -175,17 +202,17 @@ class BearingPressure(NamedTuple):
     is_parabolic: bool
 
 
-def thickened_bearing(law: BarusThickening, reduced: BearingPressure, area: Number, braking: Vector3) -> Thickened:
+def thickened_bearing(oil: PressedOil, reduced: BearingPressure, area: Number, braking: Vector3) -> Thickened:
     """What thickening adds in a bearing.
 
     Args:
-        law: of the viscosity.
+        oil: how it thickens.
         reduced: reduced pressure.
         area: L R [m^2].
         braking: eta_0 L R^3/c times the angular velocity of the journal against the bearing [N m].
     """
     shape, weights = (1.0 - _AXIAL**2, _AXIAL_WEIGHTS) if reduced.is_parabolic else (np.ones(1), np.ones(1))
-    excess = law.excess(reduced.middle[:, None] * shape)
+    excess = oil.excess(reduced.middle[:, None] * shape)
     pressure, viscosity = excess.pressure @ weights, excess.viscosity @ weights
     force = -area * ((reduced.around.weights * pressure) @ reduced.around.places)
     return Thickened(force, -jnp.sum(reduced.around.weights * viscosity / reduced.gap) * braking)
@@ -245,16 +272,16 @@ def _half_ball(r: Vector3, slope: Vector3) -> tuple[Array, Array]:
     return places.reshape(-1, 3), weights.reshape(-1)
 
 
-def thickened_ball(law: BarusThickening, reduced: BallPressure, area: Number, braking: Vector3) -> Thickened:
+def thickened_ball(oil: PressedOil, reduced: BallPressure, area: Number, braking: Vector3) -> Thickened:
     """What thickening adds in a ball's film.
 
     Args:
-        law: of the viscosity.
+        oil: how it thickens.
         reduced: reduced pressure.
         area: R^2 [m^2].
         braking: eta_0 R^4/c times the angular velocity of the ball against the socket [N m].
     """
-    excess = law.excess(reduced.pressure)
+    excess = oil.excess(reduced.pressure)
     sheared = reduced.weights * excess.viscosity / reduced.gap
     couple = (sheared * (reduced.places @ braking)) @ reduced.places - jnp.sum(sheared) * braking
     return Thickened(-area * ((reduced.weights * excess.pressure) @ reduced.places), couple)
