@@ -86,7 +86,7 @@ MODELS = {
     "lubricated_warm": sj.Lubricated(
         clearance=C, heat=sj.laws.OilHeat(sj.laws.VogelViscosity(0.04, 170.0), 0.5, 2.0, 1.0, 0.5)
     ),
-    "lubricated_thickening": sj.Lubricated(clearance=C, thickening=sj.laws.RoelandsThickening(0.6)),
+    "lubricated_thickening": sj.Lubricated(clearance=C, thickening=sj.laws.BarusThickening(2e-8)),
     "lubricated_lugre": sj.Lubricated(clearance=C, normal=sj.Flores(restitution=0.8), friction=sj.LuGre()),
     **{f"bushing_{name}": sj.Bushing(law=law) for name, law in ELASTOMERS.items()},
     "ideal_threlfall": sj.Ideal(sj.Threlfall(mu=0.1), radius=0.01, pressure=sj.laws.CosinePressure(), preload=0.01),
