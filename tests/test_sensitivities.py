@@ -12,6 +12,7 @@ from bouncing import SCALE, VALUES
 
 import spherejax as sj
 from spherejax.motion.derivatives import sensitivities
+from spherejax.motion.integration.sensitivity_rows import share_of_own_size
 
 IMPACTS = (1, 2, 10)
 AFTER = {1: 0.0040, 2: 0.0085, 10: 0.0600}
@@ -354,3 +355,12 @@ def test_second_derivatives_through_contact_are_refused(height, at):
     """In the socket they would be wrong by percents, on the stop NaN."""
     with pytest.raises(sj.SceneError, match=r"differences of jax\.grad"):
         jax.hessian(height)(at)
+
+
+def test_a_row_is_judged_by_its_own_largest_part_where_it_is_small():
+    rows = jnp.array([[1.0, 0.0], [1e-5, 1e-7], [0.0, 0.0], [3.0, 0.0]])
+    share = share_of_own_size(rows, 0.5 * rows, jnp.array([1e-10, 1e-12]), 1e-8)
+    # 1e-8 of the largest part over the absolute tolerance, in each row: within 1e-6 and 1.
+    np.testing.assert_allclose(share, [1.0, 1e-3, 1e-6, 1.0])
+    np.testing.assert_array_equal(share_of_own_size(rows, rows, 0.0, 1e-8), np.ones(4))
+    np.testing.assert_array_equal(share_of_own_size(rows, rows, jnp.zeros(2), jnp.full(2, 1e-8)), np.ones(4))

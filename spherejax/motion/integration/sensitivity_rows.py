@@ -226,7 +226,9 @@ def share_of_own_size(y0, y1, atol, rtol) -> Float[Array, " rows"]:
         y0, y1: rows at both ends of a step, shape (rows, size) or with lanes behind.
         atol, rtol: tolerances of each entry.
     """
-    of_entries = jnp.maximum(jnp.abs(y0), jnp.abs(y1)) * rtol / atol
+    is_absolute = atol > 0  # without an absolute tolerance errors are judged by the entry's own size already
+    allowed = jnp.where(is_absolute, atol, 1.0)
+    of_entries = jnp.where(is_absolute, jnp.maximum(jnp.abs(y0), jnp.abs(y1)) * rtol / allowed, jnp.inf)
     return jnp.clip(jnp.max(of_entries, axis=1), LEAST_SHARE, 1.0)
 
 
