@@ -458,20 +458,6 @@ _REDUCTIONS = (
 )
 
 
-def _of_all(name: str, reduction: ArrayOperation) -> ArrayOperation:
-    """An operation of equinox that puts all entries together, those of all lanes as well: a loop is of one."""
-
-    def llvm(text: ArrayText, values: Sequence[Value], parameters: Any, avals: Sequence[Any]) -> list[Value]:
-        del parameters
-        assert reduction.llvm is not None
-        return reduction.llvm(text, values, {"axes": tuple(range(len(values[0].shape)))}, avals)
-
-    return ArrayOperation(name=name, llvm=llvm)
-
-
-_REDUCED = {operation.name: operation for operation in _REDUCTIONS}
-
-
 def _arranged(array: np.ndarray, batch: Sequence[int], summed: Sequence[int]) -> np.ndarray:
     """A factor of `dot_general` as matrices: of each place of the batch, rows that are multiplied and summed."""
     free = [axis for axis in range(array.ndim) if axis not in batch and axis not in summed]
@@ -619,9 +605,6 @@ _ALL = (
     # A barrier is for XLA alone: machine code has none of what it is a barrier to. The second is equinox's.
     ArrayOperation(name="optimization_barrier", llvm=_same, fuses=False),
     ArrayOperation(name="nonbatchable", llvm=_same),
-    _of_all("unvmap_any", _REDUCED["reduce_or"]),
-    _of_all("unvmap_all", _REDUCED["reduce_and"]),
-    _of_all("unvmap_max", _REDUCED["reduce_max"]),
 )
 
 ARRAY_OPERATIONS: dict[str, ArrayOperation] = {operation.name: operation for operation in _ALL}

@@ -178,8 +178,6 @@ class LoopText:
             raise NotWrittenError(f"the operation {name!r} has an effect")
         if name in INNER_PROGRAM:
             return self.program(parameters[INNER_PROGRAM[name]], values)
-        if name == "custom_vjp_call":  # a loop in machine code is never differentiated: the rule is of no use to it
-            return self.program(parameters["call_jaxpr"], values)
         if name == "while":
             return self.loop(parameters, values, [None] * len(avals))
         if name == "scan":

@@ -163,18 +163,18 @@ def prepared_from(scene: KeyedTree, track_work: bool, scalar: bool | None) -> Pr
         if renewed is not None:
             doubts = before.doubts if renewed.doubts_remain else doubts_of(scene.tree, renewed.system.whole())
             numbers = numbers_renewed(before.structure, before.known, renewed.seen.leaves, renewed.changed)
-            found = PreparedScene(renewed.system, renewed.seen, scalar, renewed.conditions, doubts, numbers)
+            preparation = PreparedScene(renewed.system, renewed.seen, scalar, renewed.conditions, doubts, numbers)
             if scene.key is not None and not is_tracing():
-                _lasts.put((how, ()), (compilation.followed_by(scene, renewed), _Before.of(found)))
-            return found
+                _lasts.put((how, ()), (compilation.followed_by(scene, renewed), _Before.of(preparation)))
+            return preparation
     compiled = compile_scene(scene.tree, track_work=track_work)
-    found = PreparedScene.of(compiled, scalar, doubts_of(scene.tree, compiled.system))
+    preparation = PreparedScene.of(compiled, scalar, doubts_of(scene.tree, compiled.system))
     # Within a trace of `jax.jit` what JAX computes of known numbers belongs to that.
     if key is not None and not is_tracing():
-        compilation = found.compilation(scene)
+        compilation = preparation.compilation(scene)
         if compilation is not None:
-            _lasts.put(key, (compilation, _Before.of(found)))
-    return found
+            _lasts.put(key, (compilation, _Before.of(preparation)))
+    return preparation
 
 
 class _Before(NamedTuple):
@@ -215,9 +215,9 @@ def scene_tolerances(scene: PreparedScene, rtol: Any) -> Tolerances:
         values, known = behind[0]
         theta = scene.known.copy()
         theta[list(scene.unknown)] = values
-        found = known_tolerances(scene.structure, theta, known)
-        if found is not None:
-            return found
+        tolerances = known_tolerances(scene.structure, theta, known)
+        if tolerances is not None:
+            return tolerances
     behind = known_behind((scene.seen, rtol))
     system, known = behind[0] if len(behind) == 1 else (scene.seen, rtol)
     return component_tolerances(system, known)

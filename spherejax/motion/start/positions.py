@@ -67,8 +67,8 @@ def largest_body(structure: Structure, numbers: np.ndarray) -> float:
 @lru_cache(maxsize=64)
 def _places_at(structure: Structure) -> np.ndarray | None:
     """Where places of joints are among the numbers; None where joints have others than they hold."""
-    found = picked(lambda system: [joint.points for joint in system.joints.values()], structure)
-    return None if found is None else found.among(sum(map(math.prod, structure.shapes)))
+    points = picked(lambda system: [joint.points for joint in system.joints.values()], structure)
+    return None if points is None else points.among(sum(map(math.prod, structure.shapes)))
 
 
 @lru_cache(maxsize=64)

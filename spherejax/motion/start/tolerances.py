@@ -98,7 +98,7 @@ def known_tolerances(structure: Structure, theta: Float[np.ndarray, " p"], rtol:
     at = _measured_at(structure)
     if at is None:
         return None
-    vectors = [each.flat(theta).reshape(-1, 3) for each in at.vectors]
+    vectors = [kind.flat(theta).reshape(-1, 3) for kind in at.vectors]
     scales = _scales_of(np, vectors, at.clearances.flat(theta))
     return _described(_numbers_of(at.kinds, scales, at.masses.flat(theta).tolist(), rtol), rtol, is_known=True)
 
@@ -123,13 +123,13 @@ def _measured_at(structure: Structure) -> _Measured | None:
     """In the numbers of systems of a structure; None where they are not there as they are."""
     functions = [lambda system, i=i: _lengths_and_speeds(system)[i] for i in range(4)]
     functions += [lambda system: system.gravity, lambda system: [body.mass for body in system.bodies.values()]]
-    found = [one for one in (picked(function, structure) for function in functions) if one is not None]
-    if len(found) < len(functions):  # before anything else is asked: no user code is in it
+    numbers = [one for one in (picked(function, structure) for function in functions) if one is not None]
+    if len(numbers) < len(functions):  # before anything else is asked: no user code is in it
         return None
     kinds = _kinds_of(example_of(structure))
     if not all(isinstance(scale, str) for scale in kinds.memory):
         return None
-    places, velocities, spins, clearances, gravity, masses = found
+    places, velocities, spins, clearances, gravity, masses = numbers
     return _Measured(kinds, (places, velocities, spins, gravity), clearances, masses)
 
 

@@ -218,7 +218,7 @@ class OilHeat(AbstractOilHeat):
         the area A and one temperature has G_s = G_b = 6 k A/h with the conductivity k of the oil: the mean of the
         parabola across it. The couple of Nahme's exact solution across such a gap, with `ReynoldsViscosity`, is met
         within 2 % up to the Nahme number beta nu U**2/k = 4, and within 5 % up to 9. Viscosity by pressure is
-        `BarusThickening`: it grows by some 2 % per MPa.
+        `thickening=` of the joint (`BarusThickening`, `RoelandsThickening`): it grows by some 2 % per MPa.
 
     Source: lumped heat balances as in Raimondi and Boyd (1958), ASLE Trans. 1:159-209; the solution across the gap:
     Nahme (1940), Ing.-Arch. 11:191-209.

@@ -59,7 +59,7 @@ class RoelandsThickening(AbstractThickening):
 
     The film's pressure is that of the reduced pressure q, the integral of eta_0/eta(p) dp, which obeys Reynolds'
     equation of the viscosity eta_0. q has a bound, G(infinity)/alpha, some 1.1/alpha: beyond it there is no finite
-    pressure. A run in which the viscosity exceeds some 4 times eta_0 at a point warns (`OutOfRangeWarning`).
+    pressure. A run in which the viscosity exceeds 3.4 to 4 times eta_0 at a point warns (`OutOfRangeWarning`).
 
     Limits: viscosities up to ten times eta_0, beyond which pressure and viscosity go on straight. Load and couple as of
         `BarusThickening`; p and eta within 1e-6 of the law's for viscosities from 0.05 Pa s and indices from 0.4 on,

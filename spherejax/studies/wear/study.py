@@ -180,12 +180,12 @@ def checked_window(run: Trajectory, window) -> tuple[float, float] | None:
 
 def contacts_in(run: Trajectory, surface: Surface, k_ball: float, window, foundation) -> list[ContactInstants]:
     """The contacts of a run's cycle, part by part."""
-    found = []
+    contacts = []
     for name, geometry in surface.parts:
         counts = ball_matters(run.system.spherical(name).model, k_ball)
         own = surface.kind, geometry
-        found.append(contacts_of(run.system, run._steps, name, window, run.scalar, own, foundation, counts))
-    return found
+        contacts.append(contacts_of(run.system, run._steps, name, window, run.scalar, own, foundation, counts))
+    return contacts
 
 
 def cycles_of(run: Trajectory, surface: Surface, coefficients, window, foundation, cells: int | None) -> RubbingCycles:
@@ -232,23 +232,23 @@ def checks_of(cycle: RubbingCycles) -> Checks:
     Raises:
         SimulationError: where something is not conserved.
     """
-    found = [_checks_of_part(part) for part in cycle.rubbing]
-    if not found:
+    checks = [_checks_of_part(part) for part in cycle.rubbing]
+    if not checks:
         return Checks(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, np.inf, 0, 0)
-    if len(found) == 1:
-        return found[0]
-    work = np.array([each.rubbed for each in found])
+    if len(checks) == 1:
+        return checks[0]
+    work = np.array([one.rubbed for one in checks])
     share = work / max(work.sum(), np.finfo(float).tiny)
     return Checks(
-        lost=max(each.lost for each in found),
-        unbalanced=max(each.unbalanced for each in found),
-        slid=sum(each.slid for each in found),
+        lost=max(one.lost for one in checks),
+        unbalanced=max(one.unbalanced for one in checks),
+        slid=sum(one.slid for one in checks),
         rubbed=float(work.sum()),
-        time_error=float(share @ [each.time_error for each in found]),
-        gathering=float(share @ [each.gathering for each in found]),
-        cells_per_patch=float(share @ [each.cells_per_patch for each in found]),
-        instants=sum(each.instants for each in found),
-        gathered=sum(each.gathered for each in found),
+        time_error=float(share @ [one.time_error for one in checks]),
+        gathering=float(share @ [one.gathering for one in checks]),
+        cells_per_patch=float(share @ [one.cells_per_patch for one in checks]),
+        instants=sum(one.instants for one in checks),
+        gathered=sum(one.gathered for one in checks),
     )
 
 
