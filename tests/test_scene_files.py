@@ -438,6 +438,7 @@ JOINTS = [
     sj.Revolute(BOTH, "a.tip", AXIS),
     sj.Revolute(BOTH, (1.0, 2.0, 3.0), AXIS, HINGE),
     sj.Revolute(BOTH, "a.tip", AXIS, sj.Ideal(sj.BrownMcPhee(), 0.01, sj.laws.PointContact(), length=0.1, passes=5)),
+    sj.Spherical("ground.hook", "a.tip", sj.Lubricated(1e-4, thickening=sj.laws.RoelandsThickening(0.7, 2e8))),
     sj.joints.Rim(BOTH, "ground.hook", AXIS),
     sj.joints.Rim(
         BOTH, (1.0, 2.0, 3.0), AXIS, sj.Dry(1e-4, conformity=sj.laws.EsduCylinder(0.01)), False, is_thrust=True
