@@ -119,3 +119,23 @@ class Damped(sj.laws.AbstractHysteresisLaw):
 
     def hysteresis_factor(self):
         return self.chi
+
+
+def test_derivatives_through_impacts_take_less_than_twice_the_steps_of_the_motion():
+    # With the end of a contact foreseen within the following step alone, and no limit to how long the last step of a
+    # contact may be, it was 2.4 times.
+    scene, ts = sj.gallery.four_bar(sj.Dry(CLEARANCE)), jnp.linspace(0.0, 0.1, 3)
+
+    def end(clearance):
+        model = sj.Dry(clearance)
+        run = sj.simulate(sj.gallery.four_bar(model), ts)
+        return run.position("rocker")[-1], run.stats
+
+    plain = sj.simulate(scene, ts).stats
+    (_, stats), (slope, _) = jax.jvp(end, (CLEARANCE,), (CLEARANCE,))
+    assert int(stats.n_onsets[0]) == int(plain.n_onsets[0]) == 27
+    assert int(stats.n_steps) < 1.95 * int(plain.n_steps)
+    step = 1e-5
+    ends = [sj.simulate(sj.gallery.four_bar(sj.Dry(CLEARANCE * (1 + h))), ts, rtol=1e-11) for h in (step, -step)]
+    difference = (ends[0].position("rocker")[-1] - ends[1].position("rocker")[-1]) / (2 * step)
+    np.testing.assert_allclose(slope, difference, rtol=0, atol=1e-4 * float(jnp.max(jnp.abs(difference))))

@@ -19,8 +19,10 @@ from typing import Any, NamedTuple
 import jax
 import jax.core
 import numpy as np
+from jaxtyping import Array, Bool
 
-from spherejax.foundations.checks import called, enforce, is_concrete
+from spherejax.foundations.behind_tracers import known_behind
+from spherejax.foundations.checks import called, enforce, is_concrete, is_tracing
 from spherejax.foundations.errors import SceneError
 from spherejax.model.scene import Scene, scene_requirements
 from spherejax.model.system import (
@@ -150,7 +152,7 @@ class Compilation:
             changed.append(slice(by_factor, by_factor + 1))
         for part in parts:
             described: Any = getattr(scene, FIELDS[part.kind])[part.name]
-            conditions += enforce(f"{part.kind} {part.name!r}", called(described, "requirements"))
+            conditions += _conditions_of(part, described)
             made = self._frame.made(part, described, scene)
             if made is None:
                 return None
@@ -171,6 +173,20 @@ class Compilation:
         if isinstance(getattr(joint, "model", None), Lubricated) or not all(map(is_concrete, places)):
             return True
         return not all(map(np.array_equal, before.points, joint.points))
+
+
+def _conditions_of(part: "_PlacesOfPart", described: Any) -> list[Bool[Array, ""]]:
+    """Raise `SceneError` where a part is not legal; return the conditions that nobody can look at now.
+
+    Those of `jax.grad` and `jax.jvp` outside `jax.jit` are looked at behind their tracers: as operations of JAX they
+    took a quarter of what a call of a gradient does besides its run.
+    """
+    behind = known_behind(described)
+    if len(behind) == 1 and behind[0] is not described and not is_tracing():
+        numbers = jax.tree.map(lambda leaf: np.asarray(leaf) if isinstance(leaf, jax.Array) else leaf, behind[0])
+        if all(np.all(requirement.satisfied) for requirement in called(numbers, "requirements")):
+            return []
+    return enforce(f"{part.kind} {part.name!r}", called(described, "requirements"))
 
 
 class _PlacesOfPart(NamedTuple):

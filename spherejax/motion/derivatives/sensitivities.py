@@ -55,11 +55,12 @@ def integrate_with_sensitivities(
     def slopes_by(by_start: bool) -> Callable:
         """The run and its slopes, by the first sample time behind the numbers where `by_start`."""
 
-        @jax.custom_jvp
-        def with_slopes(inputs: RunInputs, arrays: Any) -> tuple[Outcome, Slopes]:
+        def now(inputs: RunInputs, arrays: Any) -> tuple[Outcome, Slopes]:
             scale = with_start_time(plan.scales(inputs.values), by_start)
             run = run_and_slopes(plan, eqx.combine(arrays, others), inputs, _diagonal(scale), by_start)
             return run.outcome, Slopes(*_unscaled((run.slopes, run.assembly_slopes), scale))
+
+        with_slopes = jax.custom_jvp(now)
 
         def with_slopes_jvp(primals, tangents):
             inputs, moved = primals[0], tangents[0]
@@ -85,7 +86,8 @@ def integrate_with_sensitivities(
             )
 
         with_slopes.defjvp(with_slopes_jvp, symbolic_zeros=True)
-        return with_slopes
+        # Of numbers nobody takes second derivatives: a rule for them would be a third of what JAX does for a gradient.
+        return lambda *given: now(*given) if all(map(is_concrete, jax.tree.leaves(given))) else with_slopes(*given)
 
     def along_one_direction(outcome: Outcome, primals, tangent) -> Any:
         """The derivatives of samples and start along a tangent, whose transpose goes back along the run's steps."""
@@ -145,14 +147,13 @@ def integrate_with_sensitivities(
         else:
             outcome = run(*primals)
             ys_dot, assembly = jax.tree.map(jnp.zeros_like, (outcome.ys, outcome.assembly))
-        succeeded = outcome.status == Status.SUCCEEDED
-        t_dot = jnp.zeros_like(outcome.t_reached)
+        t_dot = np.zeros(())
         if moves_times:
             # What the first time moves besides is in the rows, where it is more than a shift of all times.
             delays = moved.ts if by_start else moved.ts - moved.ts[0]
             ys_dot = ys_dot + delays[:, None] * _rates_at(plan, plan.theta_of(inputs), ts, outcome.ys)
             t_dot = moved.ts[-1]
-        t_dot, y_dot = jax.tree.map(lambda dot: jnp.where(succeeded, dot, jnp.nan), (t_dot, ys_dot[-1]))
+        t_dot, y_dot = _at_end(outcome.status, t_dot, ys_dot)
         counts = jax.tree.map(_no_tangent, (outcome.status, outcome.stats))
         return outcome, Outcome(ys_dot, t_dot, y_dot, counts[0], counts[1], assembly)
 
@@ -305,6 +306,13 @@ def _differentiable(plan: Plan, method: RunMethod, inputs: RunInputs) -> tuple[O
 def _along(jacobian: Slopes, tangent: Float[Array, " p"]) -> Slopes:
     """Derivatives along a tangent of the numbers; NaN at samples that the run did not reach."""
     return jax.tree.map(lambda j: j @ tangent, jacobian)
+
+
+@jax.jit
+def _at_end(status: Array, t_dot: Float[Array, ""], ys_dot: Float[Array, "n size"]) -> tuple[Array, Array]:
+    """The tangents of the time and of the state at the end; NaN where the run did not come there."""
+    has_succeeded = status == Status.SUCCEEDED
+    return jnp.where(has_succeeded, t_dot, jnp.nan), jnp.where(has_succeeded, ys_dot[-1], jnp.nan)
 
 
 def _unscaled(scaled: Any, scale: Any) -> Any:

@@ -6,9 +6,11 @@
 * Contact begins like the power 3/2 of time, which no method's order survives, and sensitivities like the power 1/2. In
   the root of the time since then both are smooth, and steps in contact are made in it: with t = t0 + h ((1 - b) x +
   b x^2) the same stages integrate dy/dx = h (1 - b + 2 b x) f. The first step has b = 1, those long after none.
-* Contact ends with the same powers. Where the motion of the last step says that a contact will end within the next one,
-  that one is made to end there, in the root of the time that is left (b = -1); a trial step that was rejected because
-  it went further is shortened.
+* Contact ends with the same powers. Where the motion of the last step says that a contact will end within the next few,
+  these are made in the root of the time that is left, and one that would go beyond the end is made to end there
+  (b = -1). That one has a limit: its last stages are so near to the surface that what is small beside the way of the
+  step is not small beside theirs. With sensitivities such steps fail from some size on, and are made in two.
+* The error of a step says how long it is to be in the time that it is made in.
 * After an event the first two steps are of the sizes that suited the last time.
 * A touch (of a stop, a tyre) has no memory: beyond its surface the stages of a step feel it, and where its stiffness is
   there at once the derivatives of the state (`sensitivity_rows`) have rates that jump there. A stage on the wrong side
@@ -57,6 +59,19 @@ _ACCURATE_INSIDE = 1e-6
 _NEAR_END = 0.95
 """... or behind this fraction of the step."""
 
+_FORESIGHT = 4.0
+"""So many steps ahead the end of a contact is looked for."""
+
+_FIRST_PART = 0.91
+"""Of the time until the end of a contact, where it is too long for one step: in its root seven tenths of the way."""
+
+_AIM_ORDER = 3
+"""With what power of its size the error of a step grows that ends with its contact and was too long (2.6 to 3 with
+sensitivities of a dry four-bar)."""
+
+_CAUTION = 0.9
+"""The first steps after an event are this much shorter than those that suited the last time: impacts differ."""
+
 _LIKE_LAST_FLIGHT = 1.5
 """The first step of a flight is at most this much longer than the last flight was."""
 
@@ -89,6 +104,7 @@ class Pace(NamedTuple):
         was_rejected: whether the last trial step was too long.
         since: time since contact began [s], if that was the latest event; else infinite.
         until: time until it ends [s], as the last step's motion has it; infinite where it does not.
+        longest_last: how long the last step of a contact may be [s].
     """
 
     start: Crossing
@@ -99,6 +115,7 @@ class Pace(NamedTuple):
     was_rejected: Bool[Array, " n_lanes"]
     since: Float[Array, " n_lanes"]
     until: Float[Array, " n_lanes"]
+    longest_last: Float[Array, " n_lanes"]
 
 
 class Landing:
@@ -169,16 +186,18 @@ class Landing:
         if self.contacts is not None:
             start = self.contacts.crossings(parameters, t0, y0)
         no, far = jnp.array(False), jnp.array(jnp.inf)
-        return Pace(
-            start, -jnp.ones_like(start.value), jnp.zeros((2, 2)), jnp.array(2, jnp.int64), jnp.array(0.0), no, far, far
-        )
+        unknown, none = -jnp.ones_like(start.value), jnp.zeros((2, 2))
+        return Pace(start, unknown, none, jnp.array(2, jnp.int64), jnp.array(0.0), no, far, far, far)
 
     def time_warp(self, state: Pace, size) -> Float[Array, " n_lanes"]:
         """Of the time that the coming steps are made in: the root of the time since the onset, or until the release.
 
         With t = t_onset + (x0 + (x1 - x0) x)^2 the bend is (x1 - x0) / (x1 + x0); before a release it is the negative.
+        Of both together it is what leaves each as it is where its own step begins, or ends, at the event: 1 or -1.
         """
-        return _bend(state.since, state.since + size) - _bend(state.until - size, state.until)
+        after, before = _bend(state.since, state.since + size), _bend(state.until - size, state.until)
+        both = after * before
+        return (after - before) / jnp.where(both < 1, 1 - both, 1.0)
 
     def judge(self, step: BlockSteps, state: Pace, was_jump) -> Judgment:
         """What becomes of the trial steps."""
@@ -196,7 +215,8 @@ class Landing:
             passes, error = passes & ~unseen, jnp.where(unseen, jnp.maximum(error, 1.0), error)
         # A step behind a rejected one does not grow: it would be rejected as well.
         largest = jnp.where(passes, jnp.where(state.was_rejected, 1.0, LARGEST_FACTOR), SAFETY)
-        longer = size * jnp.clip(SAFETY * jnp.maximum(error, 1e-30) ** (-1 / self.order), SMALLEST_FACTOR, largest)
+        factor = jnp.clip(SAFETY * jnp.maximum(error, 1e-30) ** (-1 / self.order), SMALLEST_FACTOR, largest)
+        longer = size * factor
         # A signal that was not seen says by itself how long the next attempt may be.
         longer = longer if unseen is None else jnp.where(unseen, jnp.minimum(longer, seen), longer)
         # Drift is corrected before contacts are looked at: the crossing functions are those of the closed mechanism.
@@ -206,7 +226,7 @@ class Landing:
             began = jnp.zeros((0, *passes.shape), bool)
             judgment = Judgment(passes, step.t1, longer, step.y1, state, jnp.zeros_like(passes), None, began)
         else:
-            judgment = self._with_contacts(self.contacts, step, state, error, longer, shortest)
+            judgment = self._with_contacts(self.contacts, step, state, error, longer, factor, shortest)
         keep = judgment.keep
         # A rejected step that cannot be shorter would be tried for ever.
         has_stalled = (~keep & ~(size > shortest)) | (size == 0)
@@ -232,9 +252,16 @@ class Landing:
         return y, made_jump | were_taken, judgment._replace(y=jnp.where(judgment.keep, y, judgment.y), state=state)
 
     def _with_contacts(
-        self, contacts: ContactFunctions, step: BlockSteps, state: Pace, error, longer, shortest
+        self, contacts: ContactFunctions, step: BlockSteps, state: Pace, error, longer, factor, shortest
     ) -> Judgment:
-        """The judgment, with the coming step's size [s] in place of its end."""
+        """The judgment, with the coming step's size [s] in place of its end.
+
+        Args:
+            contacts, step, state, error: of the trial steps.
+            longer: sizes [s] that the errors allow.
+            factor: the same by the size of the steps, for those behind them.
+            shortest: of a step [s].
+        """
         size, passes = step.t1 - step.t0, error < 1
         # A ball touches by its memory and presses by its force: a contact that has begun may not press yet.
         was_touching = contacts.is_touching(step.y0)
@@ -280,9 +307,16 @@ class Landing:
         expected = self._expected(state, keep, mode, longer, is_event & (mode == 0), duration)
         # Only a contact that has pressed through the whole step can be extrapolated to its release.
         may_release = was_pressing & contacts.is_pressing(y, end) & ~is_event
+        longest_last = self._longest_last(state, size, error)
         if self.has_rates_that_jump:
             may_release = may_release.at[np.array(contacts.kinks)].set(False)  # a step ends short of these
-        following, until = self._following(state, end, expected, mode_now, t - step.t0, longer, is_event, may_release)
+        # Towards a release steps get shorter, as the root of the time that is left does. Behind it, and behind what was
+        # taken for it, the time is straight again.
+        by_root = jnp.minimum(factor, _time_behind(factor, self.time_warp(state, size)))
+        behind = size * jnp.where(_is_last(state, size), factor, by_root)
+        following, until = self._following(
+            state, end, expected, mode_now, t - step.t0, behind, is_event, may_release, longest_last
+        )
         if self.has_rates_that_jump:
             is_like = ~is_event & ~touched & contacts.may_kink(y)
             following = following * self._share_to_kink(state, end, t - step.t0, following, is_like)
@@ -306,6 +340,7 @@ class Landing:
             ~passes | (state.was_rejected & ~keep),
             jnp.where(keep, jnp.where(is_event, jnp.where(jnp.any(began, axis=0), 0.0, jnp.inf), elapsed), state.since),
             jnp.where(keep, until, state.until),
+            longest_last,
         )
         return Judgment(keep, t, coming, y, state, is_event, None, began & keep)
 
@@ -404,22 +439,30 @@ class Landing:
         """Sizes of the first steps after an event: what this step should have been, such a step is to be next time."""
         modes, places = jnp.arange(2)[:, None, None], jnp.arange(2)[:, None]
         is_place = (modes == mode) & (places == state.n_since)
-        expected = jnp.where(keep & is_place, longer, state.expected)
+        is_first_of_flight = (modes == 0) & (places == 0)
+        # Of the first flight nobody knows where it began.
+        is_place = is_place | (has_flown & is_first_of_flight & (state.expected == 0))
+        expected = jnp.where(keep & is_place, _CAUTION * longer, state.expected)
         # Flights of a ball that comes to rest get shorter and shorter; the last one bounds the next.
         as_long = jnp.where(has_flown, _LIKE_LAST_FLIGHT * duration, jnp.inf)
-        is_first_of_flight = (modes == 0) & (places == 0)
         return jnp.where(is_first_of_flight, jnp.minimum(expected, as_long), expected)
 
-    def _following(self, state: Pace, end, expected, mode, size, longer, is_event, may_release):
+    def _following(self, state: Pace, end, expected, mode, size, longer, is_event, may_release, longest_last):
         """The size of the step [s] that follows a kept one, and the time until a release that comes within it."""
         first, second = (jnp.where(mode == 0, expected[0, i], expected[1, i]) for i in (0, 1))
         # The first step after an event is short by design, so its error says little of the second one's size.
         is_second = (state.n_since == 0) & ~is_event
-        by_error = jnp.where(is_second, jnp.maximum(longer, second), longer)
+        by_error = jnp.where(is_second & (second > 0), second, longer)
         following = jnp.where(is_event & (first > 0), first, by_error)
-        share = self._share_to_release(state, end, size, following, may_release)
-        until = jnp.where(share < 1, share * following, jnp.inf)
-        return following * share, until
+        until = self._until_release(state, end, size, following, may_release)
+        return jnp.minimum(following, jnp.where(until > longest_last, _FIRST_PART * until, until)), until
+
+    def _longest_last(self, state: Pace, size, error) -> Float[Array, " n_lanes"]:
+        """How long the last step of a contact may be [s], after steps of which some were such."""
+        was_last = _is_last(state, size)
+        shorter = size * jnp.clip(SAFETY * jnp.maximum(error, 1.0) ** (-1 / _AIM_ORDER), 0.02, SAFETY)
+        longest = jnp.where(error < 1, jnp.maximum(2 * size, state.longest_last), shorter)
+        return jnp.where(was_last, longest, state.longest_last)
 
     def _event(self, contacts: ContactFunctions, step: BlockSteps, state: Pace, was_pressing, passes) -> FoundCrossings:
         """The first contact event inside the steps, on the states inside them."""
@@ -444,12 +487,18 @@ class Landing:
         # Where a step ends is no function of the numbers: derivatives of event times come from the rows.
         return found._replace(x=jax.lax.stop_gradient(found.x))
 
-    def _share_to_release(self, state: Pace, end, size, following, may_release) -> Float[Array, " n_lanes"]:
-        """The share of the following step that ends just behind a release, as the motion of the last one has it."""
+    def _until_release(self, state: Pace, end, size, following, may_release) -> Float[Array, " n_lanes"]:
+        """The time [s] until just behind a release, as the motion of the last step has it; infinite without one ahead.
+
+        A kink is no root, and looked for in the following step alone.
+        """
+        assert self.contacts is not None
+        n_steps = np.full((may_release.shape[0], 1), _FORESIGHT)
+        n_steps[list(self.contacts.kinks)] = 1.0
+        reach = n_steps * following
         # A release is a crossing function that becomes negative.
-        fractions = _fractions_ahead(state.start, end, size, following, -1.0, LANDING_WINDOW)
-        shares = jnp.where(may_release, fractions, 1.0)
-        return jnp.min(shares, axis=0)
+        fractions = _fractions_ahead(state.start, end, size, reach, -1.0, LANDING_WINDOW)
+        return jnp.min(jnp.where(may_release & (fractions < 1), fractions * reach, jnp.inf), axis=0)
 
     def _share_to_kink(self, state: Pace, end, size, following, is_like) -> Float[Array, " n_lanes"]:
         """The share of the following step that ends short of a kink, as the motion of the last one has it."""
@@ -546,6 +595,18 @@ def _bend(near, far) -> Float[Array, " n_lanes"]:
     is_known = far < jnp.inf
     near, far = (jnp.sqrt(jnp.where(is_known, jnp.maximum(each, 0.0), 1.0)) for each in (near, far))
     return (far - near) / jnp.maximum(far + near, 1e-300)
+
+
+def _is_last(state: Pace, size) -> Bool[Array, " n_lanes"]:
+    """Whether a step was to end with a contact."""
+    return size > (1 - 1e-6) * state.until
+
+
+def _time_behind(x, bend) -> Float[Array, " n_lanes"]:
+    """The time of a step behind one, by the size of that, that goes on in its own time by x; at most to the release."""
+    to_release = (1 + bend) / (-2 * jnp.where(bend < 0, bend, -1.0))
+    x = jnp.where(bend < 0, jnp.minimum(x, to_release), x)
+    return x * (1 + bend + bend * x)
 
 
 def _verdict(has_stalled, is_finite):
