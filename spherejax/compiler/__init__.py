@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from spherejax.compiler import hooks, linear_algebra, runge_kutta
     from spherejax.compiler.graph import NotScalarizable
+    from spherejax.compiler.native.array_programs import ArrayProgram
     from spherejax.compiler.native.switch import native_code
     from spherejax.compiler.program import ScalarProgram, scalarize
 
 # A name is imported when it is first asked for: `hooks` is needed when the host package is imported, which must not
 # import JAX (0.3 s).
 _PLACES = {
+    "ArrayProgram": ".native.array_programs",
     "NotScalarizable": ".graph",
     "ScalarProgram": ".program",
     "hooks": ".hooks",
@@ -25,7 +27,8 @@ _PLACES = {
 }
 
 __all__ = [
-    "NotScalarizable", "ScalarProgram", "hooks", "linear_algebra", "native_code", "runge_kutta", "scalarize",
+    "ArrayProgram", "NotScalarizable", "ScalarProgram", "hooks", "linear_algebra", "native_code",
+    "runge_kutta", "scalarize",
 ]  # fmt: skip
 
 

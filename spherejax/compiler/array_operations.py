@@ -69,6 +69,7 @@ class ArrayOperation:
         fuses: whether XLA can write it into a kernel of several operations; see `native.loop_fusion`.
         reduces: whether XLA may hand it to a library where it is large.
         solves: whether it is a linear solve, whose derivative rule is shorter than the derivative of its elimination.
+        moves: of an operation that only moves entries, what it does with any arrays, from these and its parameters.
     """
 
     name: str
@@ -77,6 +78,7 @@ class ArrayOperation:
     fuses: bool = True
     reduces: bool = False
     solves: bool = False
+    moves: Callable[[Sequence[np.ndarray], Any], list[np.ndarray]] | None = None
 
 
 # Operations on numbers, entry by entry --------------------------------------------------------------------------------
@@ -155,7 +157,7 @@ def _moving(name: str, moves: Moves) -> ArrayOperation:
             for entries, aval in zip(moves(places, parameters), avals, strict=True)
         ]
 
-    return ArrayOperation(name=name, names=names, llvm=llvm)
+    return ArrayOperation(name=name, names=names, llvm=llvm, moves=moves)
 
 
 def _indices(name: str, graph: Graph, array: np.ndarray) -> np.ndarray:
@@ -181,7 +183,7 @@ def _names_by_jax(*moved: int) -> Callable[[Graph, Sequence[np.ndarray], Use], l
 def _names_of_gather(graph: Graph, inputs: Sequence[np.ndarray], use: Use) -> list[np.ndarray]:
     # By NumPy: JAX would compile a program for each shape, at 20 ms.
     array, indices = inputs
-    return [_inside("gather", _gathered(array, _indices("gather", graph, indices), use.parameters))]
+    return [_inside("gather", gathered(array, _indices("gather", graph, indices), use.parameters))]
 
 
 def _inside(name: str, nodes: np.ndarray) -> np.ndarray:
@@ -190,7 +192,7 @@ def _inside(name: str, nodes: np.ndarray) -> np.ndarray:
     return nodes
 
 
-def _gathered(array: np.ndarray, indices: np.ndarray, parameters: Any) -> np.ndarray:
+def gathered(array: np.ndarray, indices: np.ndarray, parameters: Any) -> np.ndarray:
     """`jax.lax.gather` of names; out of range it gives the name -1, which no node has."""
     how, sizes = parameters["dimension_numbers"], parameters["slice_sizes"]
     dropped = (*how.collapsed_slice_dims, *how.operand_batching_dims)
@@ -465,14 +467,15 @@ def _arranged(array: np.ndarray, batch: Sequence[int], summed: Sequence[int]) ->
     return array.transpose([*batch, *free, *summed]).reshape(shape)
 
 
-def _both_arranged(arrays: Iterable[np.ndarray], parameters: Any) -> tuple[np.ndarray, np.ndarray]:
+def both_arranged(arrays: Iterable[np.ndarray], parameters: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Both factors of `dot_general` as matrices, see `_arranged`."""
     (summed_a, summed_b), (batch_a, batch_b) = parameters["dimension_numbers"]
     left, right = arrays
     return _arranged(left, batch_a, summed_a), _arranged(right, batch_b, summed_b)
 
 
 def _names_of_product(graph: Graph, inputs: Sequence[np.ndarray], use: Use) -> list[np.ndarray]:
-    a, b = _both_arranged(inputs, use.parameters)
+    a, b = both_arranged(inputs, use.parameters)
     # From zero on: a structural zero that the first product replaces.
     zero = graph.constant(0, FLOAT)
     names = [
@@ -489,7 +492,7 @@ def _dot_general(text, values, parameters, avals):
     # XLA has a product over nothing, which is zero, and of whole numbers; runs have neither.
     if left.kind != DOUBLE or right.kind != DOUBLE or not left.size or not right.size:
         raise NotWrittenError("a product of whole numbers")
-    a, b = _both_arranged((np.arange(v.size).reshape(v.shape) for v in (left, right)), parameters)
+    a, b = both_arranged((np.arange(v.size).reshape(v.shape) for v in (left, right)), parameters)
     if a.shape[0] * a.shape[1] * b.shape[1] * a.shape[2] > 4 * LARGEST_WRITTEN_OUT:
         raise NotWrittenError("a large product of matrices")
     zero, rows = constant(0.0, DOUBLE), []

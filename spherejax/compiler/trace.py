@@ -109,6 +109,7 @@ class Interpreter:
         places = [i for i, variable in enumerate(equation.outvars) if _has_derivative(variable)]
         with self._at(HIGHEST_DERIVATIVE + 1):  # rules of what it is made of do not count
             values = self.equation(equation, inputs)
+        self._bound_size(values)
         # Beyond the highest order the rule is not followed: a derivative of that order is refused by name.
         slopes = itertools.repeat(None)
         if self._depth < HIGHEST_DERIVATIVE:
@@ -121,6 +122,13 @@ class Interpreter:
             names = np.full(values[i].shape, None) if names is None else names
             values[i] = _by_entry(self.graph.custom_jvp_node, values[i], names)
         return values
+
+    def _bound_size(self, values: list[np.ndarray]) -> None:
+        """Give up a program of which a part alone is too large, before derivative rules are followed through it."""
+        if self.limit is None or self._depth or len(self.graph.operations) <= self.limit:
+            return
+        if self.graph.count([int(node) for names in values for node in names.ravel()]).total() > self.limit:
+            raise TooManyOperations(f"more than {self.limit} scalar operations")
 
     def _slopes(self, jaxpr, equation, inputs: list[np.ndarray], wanted: list) -> list[np.ndarray]:
         """What the derivative rule of an operation gives, linear in the tangents of its arguments."""

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from spherejax.foundations.linear_algebra import mapped
 from spherejax.foundations.linear_algebra import rows_at as rows_at
 from spherejax.foundations.linear_algebra import sums_by_index as sums_by_index
 
@@ -25,7 +26,7 @@ def over_lanes(function: Callable, *lanes, shared: tuple = ()) -> Any:
         The results, with a leading axis of lanes.
     """
     axes = (*(None for _ in shared), *(0 for _ in lanes))
-    return jax.vmap(function, axes)(*shared, *lanes)
+    return mapped(function, axes, (*shared, *lanes))
 
 
 def in_lanes(function: Callable) -> Callable:

@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from spherejax.foundations.linear_algebra import rows_at
 from spherejax.model.system import Structure, System
 from spherejax.physics.bodies import Body
 from spherejax.physics.joints.joint import AbstractPlacedJoint
@@ -62,7 +63,7 @@ def stacks_from(structure: Structure, theta) -> Stacks:
     places = _places_of(structure)
     if places is None:
         return stacks_of(structure.system(theta))
-    return jax.tree.map(lambda place: jnp.asarray(theta)[place], places)
+    return jax.tree.map(lambda place: rows_at(jnp.asarray(theta), place.ravel()).reshape(place.shape), places)
 
 
 @lru_cache(maxsize=256)

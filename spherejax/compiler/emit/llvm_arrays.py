@@ -5,6 +5,7 @@ are never changed once they are made, but for large ones (`LARGE`), which stay w
 changed in the meantime is refused.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -88,9 +89,25 @@ def stored_as(kind: str) -> str:
 
 
 class ArrayText:
-    """Lines of a function, and what is to be declared outside of it."""
+    """Lines of a function, and what is to be declared outside of it.
 
-    def __init__(self) -> None:
+    Args:
+        largest_written_out, largest_by_entry: see `LARGEST_WRITTEN_OUT` and `LARGE`.
+        smallest_shared: bytes of an array that gets no place of its own, at least.
+
+    Attributes:
+        shared: bytes of these arrays, by name.
+    """
+
+    def __init__(
+        self,
+        largest_written_out: int = LARGEST_WRITTEN_OUT,
+        largest_by_entry: int = LARGE - 1,
+        smallest_shared: float = math.inf,
+    ) -> None:
+        self._largest_written_out, self._largest_by_entry = largest_written_out, largest_by_entry
+        self._smallest_shared = smallest_shared
+        self.shared: dict[str, int] = {}
         self.lines: list[str] = []
         self.room: list[str] = []
         # A dictionary for its order: the text, whose digest is its name, has to be the same in every process.
@@ -120,7 +137,11 @@ class ArrayText:
         """Room on the stack for an array, which belongs to this place in the text."""
         size, name = int(np.prod(shape, dtype=int)), self.new("%m")
         # Never given back: a place in the text is one place in memory, also in a loop, so that all of them add up.
-        self._bytes += size * (1 if kind == "i1" else 8)
+        n_bytes = size * (1 if kind == "i1" else 8)
+        if n_bytes >= self._smallest_shared:
+            self.shared[name] = n_bytes
+            return Value(tuple(shape), kind, name, Memory(is_own=True))
+        self._bytes += n_bytes
         if self._bytes > LARGEST_STACK:
             raise NotWrittenError("arrays that do not fit the stack")
         self.room.append(f"  {name} = alloca [{max(size, 1)} x {stored_as(kind)}], align 64")
@@ -225,23 +246,27 @@ class ArrayText:
             write: from where a chunk begins, and how wide it is.
         """
         n, step = size // LANES_AT_A_TIME, LANES_AT_A_TIME
-        if size <= LARGEST_WRITTEN_OUT:
+        if size <= self._largest_written_out:
             n = 0
         else:
-            # In memory, as all that loops carry; LLVM makes a register of it.
-            counter = self.array((), "i64")
-            self.say(f"store i64 0, ptr {counter.name}, align 8")
-            turn, end = self.new("turn"), self.new("end")
-            self.say(f"br label %{turn}")
-            self.lines.append(f"{turn}:")
-            i = self.made(f"load i64, ptr {counter.name}, align 8")
-            write(self.made(f"mul nsw i64 {i}, {step}"), step)
-            following = self.made(f"add nsw i64 {i}, 1")
-            self.say(f"store i64 {following}, ptr {counter.name}, align 8")
-            self.say(f"br i1 {self.made(f'icmp slt i64 {following}, {n}')}, label %{turn}, label %{end}")
-            self.lines.append(f"{end}:")
+            self.counted(n, lambda i: write(self.made(f"mul nsw i64 {i}, {step}"), step))
         for at, width in chunks(size - n * step):
             write(n * step + at, width)
+
+    def counted(self, n: int, write: Callable[[str], None]) -> None:
+        """A loop of n turns, at least one; `write` is given the name of what counts them from 0."""
+        # In memory, as all that loops carry; LLVM makes a register of it.
+        counter = self.array((), "i64")
+        self.say(f"store i64 0, ptr {counter.name}, align 8")
+        turn, end = self.new("turn"), self.new("end")
+        self.say(f"br label %{turn}")
+        self.lines.append(f"{turn}:")
+        i = self.made(f"load i64, ptr {counter.name}, align 8")
+        write(i)
+        following = self.made(f"add nsw i64 {i}, 1")
+        self.say(f"store i64 {following}, ptr {counter.name}, align 8")
+        self.say(f"br i1 {self.made(f'icmp slt i64 {following}, {n}')}, label %{turn}, label %{end}")
+        self.lines.append(f"{end}:")
 
     # Entry by entry ---------------------------------------------------------------------------------------------------
 
@@ -260,7 +285,7 @@ class ArrayText:
         values = [self.broadcast(value, shape) for value in values]
         if size == 1:
             return Value(tuple(shape), kind, write(1, *(self.read(value) for value in values)))
-        if size >= LARGE:
+        if size > self._largest_by_entry:
             raise NotWrittenError(f"an operation on {size} numbers")
         target = self.array(shape, kind)
 
@@ -296,10 +321,10 @@ class ArrayText:
             raise NotWrittenError(f"{flat.size} numbers that are moved in {len(pieces)} pieces")
         target = self.array(entries.shape, kind)
         for at, n, step in pieces:
-            self._move(sources[of[at]], int(within[at]), step, target, at, n)
+            self.move(sources[of[at]], int(within[at]), step, target, at, n)
         return target
 
-    def _move(self, source: Value, begin: int, step: int, target: Value, at: int, n: int) -> None:
+    def move(self, source: Value, begin: int, step: int, target: Value, at: int, n: int) -> None:
         """A piece of an array, or one of its numbers again and again (step 0), into another one from `at` on."""
         # From pointers on: in a loop, places are counted from the first entry of the piece.
         into = target._replace(name=self.pointer(target, at))

@@ -56,9 +56,9 @@ def block_times(pattern: BlockPattern, diagonal: Blocks, pairs: Blocks, columns:
     batch = columns.shape[:-3]
     products = jnp.concatenate(
         [
-            _product(diagonal, columns),
-            _product(pairs, columns[..., j, :, :]),
-            _product(jnp.swapaxes(pairs, -1, -2), columns[..., i, :, :]),
+            product(diagonal, columns),
+            product(pairs, columns[..., j, :, :]),
+            product(jnp.swapaxes(pairs, -1, -2), columns[..., i, :, :]),
         ],
         axis=len(batch),
     )
@@ -67,7 +67,7 @@ def block_times(pattern: BlockPattern, diagonal: Blocks, pairs: Blocks, columns:
     return jnp.moveaxis(sums_by_index(moved, target, pattern.n_blocks), 0, len(batch))
 
 
-def _product(a, b):
+def product(a, b):
     """Matrix product as a sum of products: XLA on the CPU calls a library for a dot, which keeps loops apart."""
     return jnp.sum(a[..., :, :, None] * b[..., None, :, :], -2)
 
@@ -116,7 +116,7 @@ def _forward(segment: Segment, blocks, smallest, x):
         pivot, slots, updated, near = steps.pivot[s], steps.blocks[s], steps.updates[s], steps.neighbors[s]
         # The blocks are read before anything is written: XLA then changes the arrays of the loop in place.
         below, row = blocks[slots], x[pivot]
-        solved, ratios, changes, moved = _eliminated(blocks[pivot], smallest[pivot], below, row)
+        solved, ratios, changes, moved = eliminated(blocks[pivot], smallest[pivot], below, row)
         x = x.at[pivot].set(solved)
         blocks = _taken_from(blocks, updated, changes)
         x = _taken_from(x, near, moved)
@@ -138,7 +138,7 @@ LARGEST_UNROLLED = 16
 """Blocks of one step that are changed by operations of their own; more are left to a loop."""
 
 
-def _eliminated(pivot, smallest, below, row):
+def eliminated(pivot, smallest, below, row):
     """Elimination of one block row.
 
     Args:
@@ -157,8 +157,8 @@ def _eliminated(pivot, smallest, below, row):
     solved = _by_elimination(pivot, smallest, columns)
     own = solved[:, :c]
     ratios = [solved[:, c + m * a : c + m * (a + 1)] for a in range(d)]
-    changes = [_product(below[b], ratios[a]) for a in range(d) for b in range(a, d)]
-    moved = [_product(below[a], own) for a in range(d)]
+    changes = [product(below[b], ratios[a]) for a in range(d) for b in range(a, d)]
+    moved = [product(below[a], own) for a in range(d)]
     none = jnp.zeros((0, m, m))
     return (
         own,
@@ -200,7 +200,7 @@ def _backward(segment: Segment, ratios, x):
         s = n_steps - 1 - i
         pivot = steps.pivot[s]
         # Empty neighbors name the last row of x, which is zero.
-        reached = jnp.sum(_product(ratios[s], x[steps.neighbors[s]]), 0)
+        reached = jnp.sum(product(ratios[s], x[steps.neighbors[s]]), 0)
         return x.at[pivot].add(-reached)
 
     return jax.lax.fori_loop(0, n_steps, substitute, x)

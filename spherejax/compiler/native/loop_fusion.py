@@ -117,7 +117,7 @@ def _calls(equation: Any) -> bool:
 def _is_alone(equation: Any) -> bool:
     """Whether the machine code that is called in an operation is for one run, not for many in lanes."""
     if equation.primitive.name in machine_code.TARGETS:
-        return equation.params["n_runs"] is None
+        return equation.params.get("n_runs") is None
     return all(_is_alone(e) for inner in jex.jaxprs_in_params(equation.params) for e in inner.eqns)
 
 

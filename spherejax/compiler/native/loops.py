@@ -153,17 +153,21 @@ class LoopText:
 
     # Programs ---------------------------------------------------------------------------------------------------------
 
+    def constant(self, value: Any) -> Any:
+        """What stands for a constant."""
+        return self.text.known(value)
+
     def program(self, closed: Any, values: Sequence[Value]) -> list[Value]:
         """The results of a program."""
         jaxpr, constants = getattr(closed, "jaxpr", closed), getattr(closed, "consts", ())
-        environment: dict[Any, Value] = dict(zip(jaxpr.constvars, map(self.text.known, constants), strict=True))
+        environment: dict[Any, Value] = dict(zip(jaxpr.constvars, map(self.constant, constants), strict=True))
         environment.update(zip(jaxpr.invars, values, strict=True))
 
         def read(atom: Any) -> Value:
             if not isinstance(atom, jex.Literal):
                 return environment[atom]
             aval: Any = atom.aval
-            return self.text.known(np.asarray(atom.val, aval.dtype))
+            return self.constant(np.asarray(atom.val, aval.dtype))
 
         for equation in jaxpr.eqns:
             outputs = self.equation(equation, [read(atom) for atom in equation.invars])

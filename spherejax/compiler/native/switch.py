@@ -49,6 +49,7 @@ class native_code:  # noqa: N801 - a context manager, as those of contextlib
         return made
 
     is_available = staticmethod(machine_code.is_available)
+    is_enabled = staticmethod(machine_code.native_code_enabled)
     record_ffi_targets = staticmethod(machine_code.record_ffi_targets)
     register_object_code = staticmethod(machine_code.register_object_code)
     note_ffi_targets = staticmethod(machine_code.note_ffi_targets)

@@ -18,9 +18,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax.interpreters.partial_eval import dce_jaxpr
 
-from spherejax.compiler import NotScalarizable, ScalarProgram, native_code, scalarize
+from spherejax.compiler import ArrayProgram, NotScalarizable, ScalarProgram, native_code, scalarize
 from spherejax.model.groups import stacks_from
-from spherejax.model.system import Structure, System
+from spherejax.model.system import Structure, System, example_of
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.program_cache import disk_cache, gc_paused
 
@@ -80,6 +80,7 @@ class Program:
         self.is_computed = is_computed
         self.scalar: ScalarProgram | None = None
         self.too_large = False
+        self._array_programs: dict = {}
         if use_scalars is False:
             return
         try:
@@ -124,7 +125,7 @@ class Program:
         """As a call, inside a loop over which the leading arguments (the parameters) are constant."""
         if self.scalar is not None:
             return self.scalar.inside(ahead, theta, jnp.asarray(t, jnp.float64), y)
-        return self._as_arrays(self.structure.system(theta), ahead, t, y)
+        return self._by_arrays(theta, ahead, t, y)
 
     def compute(self, theta, t, y) -> Any:
         """Evaluate concrete numbers now, as NumPy, without compiling anything where there is a scalar program."""
@@ -138,10 +139,38 @@ class Program:
         if self.scalar is not None:
             self._require_slopes()
             return self.scalar(theta, jnp.asarray(t, jnp.float64), y)
-        return self._as_arrays(self.structure.system(theta), stacks_from(self.structure, theta), t, y)
+        return self._by_arrays(theta, None, t, y)
 
     def _require_slopes(self) -> None:
         assert not self.is_computed, f"{self.function.__name__} has no derivative rules, and is to be computed only"
+
+    def _by_arrays(self, theta, stacks, t, y) -> Any:
+        """The array code; as machine code where that is wanted and can be."""
+        if native_code.is_enabled():
+            arguments, tree = jax.tree.flatten((theta, stacks, t, y))
+            arrays = [jnp.asarray(x, jnp.float64) for x in arguments]
+            program, outputs = self._array_program(tree, tuple(x.shape for x in arrays))
+            if program.can_be_called:
+                return jax.tree.unflatten(outputs, program(*arrays))
+        if stacks is None:
+            stacks = stacks_from(self.structure, theta)
+        return self._as_arrays(self.structure.system(theta), stacks, t, y)
+
+    def _array_program(self, tree: Any, shapes: tuple) -> tuple[ArrayProgram, Any]:
+        if (tree, shapes) not in self._array_programs:
+            outputs: list = []
+
+            def of_arrays(*arrays: Any) -> list:
+                theta, stacks, t, y = jax.tree.unflatten(tree, arrays)
+                if stacks is None:
+                    stacks = stacks_from(self.structure, theta)
+                leaves, found = jax.tree.flatten(self._as_arrays(self.structure.system(theta), stacks, t, y))
+                outputs.append(found)
+                return leaves
+
+            examples = [jax.ShapeDtypeStruct(shape, jnp.float64) for shape in shapes]
+            self._array_programs[tree, shapes] = ArrayProgram.of(of_arrays, *examples), outputs[0]
+        return self._array_programs[tree, shapes]
 
     def _as_arrays(self, system: System, stacks, t, y) -> Any:
         system = eqx.tree_at(lambda s: s.stacks, system, stacks, is_leaf=lambda x: x is None)
@@ -219,7 +248,7 @@ def _shapes(structure: Structure, y_size: Sizes) -> tuple[Any, Any, Any]:
     number = jax.ShapeDtypeStruct((), jnp.float64)
     shapes = jax.ShapeDtypeStruct((size,), jnp.float64)
     if y_size is None:
-        y_size = jax.eval_shape(structure.system, shapes).layout.size
+        y_size = example_of(structure).layout.size
     sizes = y_size if isinstance(y_size, tuple) else (y_size,)
     vectors = tuple(jax.ShapeDtypeStruct((size,), jnp.float64) for size in sizes)
     return shapes, number, vectors if isinstance(y_size, tuple) else vectors[0]

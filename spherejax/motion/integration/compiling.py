@@ -6,6 +6,7 @@ from typing import Any
 from spherejax.compiler import hooks, native_code
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for
+from spherejax.motion.solvers.traits import is_explicit
 
 LARGE = 10_000
 """Scalar operations of a right-hand side above which compile time is favoured over run time.
@@ -39,6 +40,11 @@ def options_for_stiff(plan: Any, *_: Any) -> Mapping[str, Any]:
 def in_machine_code(plan: Any) -> bool:
     """Whether the programs of a run become machine code of their own."""
     return program_for(state_rate, plan.structure, plan.scalar).scalar is not None
+
+
+def arrays_in_machine_code(plan: Any, solver: Any) -> bool:
+    """Whether the array code of a run is machine code: of an explicit method, which calls it stage by stage."""
+    return is_explicit(solver) and not in_machine_code(plan)
 
 
 def native_run(function: Callable[[], Any], is_native: bool, joins: bool = True) -> Any:

@@ -18,7 +18,7 @@ from spherejax.model.system import Structure, example_of
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import Program, program_for
 from spherejax.motion.equations.quantities import magnitudes
-from spherejax.motion.integration.compiling import in_machine_code
+from spherejax.motion.integration.compiling import arrays_in_machine_code, in_machine_code
 from spherejax.motion.integration.implicit_rows import rows_with_fixed_matrix, solver_of_rows, usual_tangent_factor
 from spherejax.motion.integration.lanes import LaneOutcome, LaneProblem
 from spherejax.motion.integration.longest_step import longest_step
@@ -177,7 +177,7 @@ class JobKind:
             room_of(plan),
             example_of(self.structure).layout.work_start,
             samples_of(self.structure, self.scalar),
-            in_machine_code=in_machine_code(plan),
+            in_machine_code=in_machine_code(plan) or arrays_in_machine_code(plan, self.solver),
             program=rate.scalar,
             unseen=unseen_of(self.structure, self.scalar, self.solver),
             lands_inside=self._lands_inside,

@@ -21,7 +21,7 @@ from spherejax.motion.equations.contacts import crossings
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for
 from spherejax.motion.equations.sampling import initial_force_memory
-from spherejax.motion.integration.compiling import OF_START, in_machine_code, options_for
+from spherejax.motion.integration.compiling import OF_START, arrays_in_machine_code, in_machine_code, options_for
 from spherejax.motion.integration.implicit_rows import usual_tangent_factor
 from spherejax.motion.integration.jobs import Job, JobKind, job_of, statistics, with_slopes
 from spherejax.motion.integration.lanes import Block, LaneOutcome, run_in_lanes
@@ -193,7 +193,8 @@ def run_and_slopes(
 def lane_job(plan: Plan, method: RunMethod, inputs: RunInputs, is_differentiated: bool = False) -> Job:
     """The run as a job, from the traced numbers; in array code where it is differentiated itself."""
     theta, start = plan.theta_of(inputs), plan.start_of(inputs)
-    limits, is_native = method.limits(plan, theta), not is_differentiated and in_machine_code(plan)
+    becomes_machine_code = in_machine_code(plan) or arrays_in_machine_code(plan, method.rest)
+    limits, is_native = method.limits(plan, theta), not is_differentiated and becomes_machine_code
     own = method.own_tolerances
     return job_of(plan, theta, inputs.ts, start, inputs.values_are_legal, limits, own, is_native)
 

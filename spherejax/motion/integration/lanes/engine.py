@@ -77,7 +77,9 @@ def steps_in_lanes(
 
 
 def _worked_off(problem: LaneProblem, parameters, y0, *others) -> tuple[LaneOutcome, StepLog | None]:
-    return native_run(lambda: Queue(problem, parameters, y0, *others).run_queue(), problem.in_machine_code)
+    # Array code in machine code is for one run: of many, XLA makes vectors over runs.
+    is_native = problem.in_machine_code and (problem.program is not None or len(y0) == 1)
+    return native_run(lambda: Queue(problem, parameters, y0, *others).run_queue(), is_native)
 
 
 class Queue:
