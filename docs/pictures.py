@@ -521,6 +521,64 @@ def lined_bearing() -> Figure:
     return figure
 
 
+def lined_socket() -> Figure:
+    """A hip in polyethylene over two steps: load and film, and the pressure in the cup at the largest load."""
+    radius, clearance = 14e-3, 8e-5
+    liner = sj.laws.WinklerLiner(1e9, 0.4, 8e-3)
+    ts = np.linspace(0.0, 2.0, 201)
+    figure, (left, right) = plt.subplots(1, 2, figsize=(9.2, 3.4), layout="constrained")
+    load = left.twinx()
+    for viscosity, color in zip((2e-3, 5e-3, 1e-2), LINES[1:4], strict=True):
+        film = sj.laws.LinedSocket(liner)
+        model = sj.Lubricated(clearance, viscosity, socket_radius=radius, film=film)
+        run = sj.simulate(sj.gallery.hip(model), ts, rtol=1e-4, throw=True)
+        thickness = 1e6 * np.asarray(run.part("cup", "film_thickness"))
+        left.plot(
+            ts[1:], thickness[1:], color=color, label=f"{1e3 * viscosity:.0f} mPa s"
+        )
+    force = np.linalg.norm(np.asarray(run.reaction("cup")), axis=1) / 1e3
+    load.fill_between(ts[1:], force[1:], color="0.5", alpha=0.2, linewidth=0)
+    peak = int(np.argmax(force[100:])) + 100
+    memory = run.memory("cup")
+    w = np.array(
+        [float(memory[f"deflection_{i}"][peak]) for i in range(len(film.memory))]
+    )
+    pressure = np.maximum(w, 0.0).reshape(film.rings, film.around) * float(
+        liner.foundation()
+    )
+    angles = 90.0 / film.rings * (np.arange(film.rings) + 0.5)
+    e = np.linalg.norm(np.asarray(run.eccentricity("cup"))[peak])
+    fine = np.linspace(0.0, 90.0, 181)
+    dry = float(liner.foundation()) * np.maximum(
+        e * np.cos(np.radians(fine)) - clearance, 0.0
+    )
+    right.plot(fine, dry / 1e6, color="0.6", linewidth=3, label="dry columns")
+    right.plot(
+        np.repeat(angles, film.around),
+        pressure.ravel() / 1e6,
+        ".",
+        color=LINES[3],
+        markersize=4,
+        label="cells of the film",
+    )
+    left.set(xlabel="time [s]", ylabel="least film thickness [µm]", xlim=(0, 2))
+    left.set_ylim(0, 1.5)
+    left.set_zorder(load.get_zorder() + 1)
+    left.patch.set_visible(False)
+    left.legend(fontsize=8, frameon=False, loc="upper right")
+    load.set(ylabel="load, gray [kN]", ylim=(0, 6))
+    right.set(
+        xlabel="angle from the middle of the cup [°]",
+        ylabel="pressure [MPa]",
+        xlim=(0, 90),
+        xticks=range(0, 91, 15),
+    )
+    right.set_ylim(bottom=0)
+    right.legend(fontsize=8, frameon=False, loc="upper right")
+    right.set_title(f"at {1e3 * force[peak]:.0f} N", fontsize=9, loc="left")
+    return figure
+
+
 def thickening() -> Figure:
     """Load by eccentricity ratio, and pressure round a short bearing, for three coefficients of pressure."""
     radius, length, clearance, viscosity, speed = 0.02, 0.02, 1e-4, 0.05, 300.0
@@ -1305,6 +1363,7 @@ PICTURES: dict[str, Callable[[], Figure | Image.Image]] = {
     "warm_oil": warm_oil,
     "bearing_heat": bearing_heat,
     "lined_bearing": lined_bearing,
+    "lined_socket": lined_socket,
     "thickening": thickening,
     "friction": friction,
     "joint_friction": joint_friction,

@@ -39,6 +39,7 @@ from .physics.laws.full_film import (
 )
 from .physics.laws.impact import exact_hysteresis_factor, maximum_penetration, realized_restitution
 from .physics.laws.lined import LinedBearing
+from .physics.laws.lined_socket import LinedSocket
 from .physics.laws.material import Material, generalized_stiffness
 from .physics.laws.normal import (
     AbstractHysteresisLaw,
@@ -110,6 +111,7 @@ __all__ = [
     "LankaraniNikravesh",
     "LegendreFourierDepth",
     "LinedBearing",
+    "LinedSocket",
     "LongBearing",
     "LuGre",
     "Material",

@@ -439,6 +439,13 @@ JOINTS = [
     sj.Revolute(BOTH, (1.0, 2.0, 3.0), AXIS, HINGE),
     sj.Revolute(BOTH, "a.tip", AXIS, sj.Ideal(sj.BrownMcPhee(), 0.01, sj.laws.PointContact(), length=0.1, passes=5)),
     sj.Spherical("ground.hook", "a.tip", sj.Lubricated(1e-4, thickening=sj.laws.RoelandsThickening(0.7, 2e8))),
+    sj.Spherical(
+        "ground.hook",
+        "a.tip",
+        sj.Lubricated(
+            1e-4, film=sj.laws.LinedSocket(sj.laws.WinklerLiner(1e9, 0.4, 8e-3), 1.2, (0.0, 0.6, 0.8), 5, 10)
+        ),
+    ),
     sj.joints.Rim(BOTH, "ground.hook", AXIS),
     sj.joints.Rim(
         BOTH, (1.0, 2.0, 3.0), AXIS, sj.Dry(1e-4, conformity=sj.laws.EsduCylinder(0.01)), False, is_thrust=True

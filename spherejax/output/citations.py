@@ -91,6 +91,11 @@ WORKS: Mapping[str, Work] = {
         "The theoretical effects of elastic deformation of the bearing liner on journal bearing performance",
         "Proceedings of the Institution of Mechanical Engineers", "180 (3B)", "31-38", 1965,
     ),
+    "Jalali-Vahid et al. (2001)": Work(
+        "Jalali-Vahid, D. and Jagatia, M. and Jin, Z. M. and Dowson, D.",
+        "Prediction of lubricating film thickness in UHMWPE hip joint replacements",
+        "Journal of Biomechanics", "34", "261-266", 2001,
+    ),
     "Raimondi and Boyd (1958)": Work(
         "Raimondi, A. A. and Boyd, J.",
         "A solution for the finite journal bearing and its application to analysis and design",

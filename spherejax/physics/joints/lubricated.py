@@ -100,7 +100,8 @@ class Lubricated(AbstractClearanceModel):
             eccentricity ratio e/(c + e_h1), so an equilibrium lies further out than without it by the factor
             1 + e_h1/c; above 0.05 c a run warns (`OutOfRangeWarning`).
         boundary: which parts of the film carry pressure.
-        film: in which directions it resists: `FullFilm()`, or `RadialFilm()`, the paper's.
+        film: in which directions it resists: `FullFilm()`, or `RadialFilm()`, the paper's; `LinedSocket(liner)` in a
+            cup that gives way, which bears the ball beyond the clearance too, in place of dry contact.
         socket_material: material of the socket.
         ball_material: material of the ball.
         conformity: how surfaces that nearly fit press back, in place of Hertz's law (`SphericalProfile`,
@@ -204,6 +205,7 @@ class Lubricated(AbstractClearanceModel):
             *contact_law_requirements(self.normal, self.friction, self.conformity),
             *self._requirements_of_heat(),
             *self._requirements_of_thickening(),
+            *self._requirements_of_lined_contact(),
         ]
 
     def _requirements_of_heat(self) -> list[Requirement]:
@@ -227,13 +229,20 @@ class Lubricated(AbstractClearanceModel):
             Requirement("film", name, self.film.thickens, "know oil that thickens under pressure", remedy),
         ]
 
+    def _requirements_of_lined_contact(self) -> list[Requirement]:
+        """No dry friction where the film takes the place of the contact."""
+        if not self.film.carries_contact or self.friction is None:
+            return []
+        what = f"be None with film={type(self.film).__name__}, in which surfaces never touch"
+        return [Requirement("friction", type(self.friction).__name__, False, what, "Leave it out.")]
+
     def requirements_of(self, *, is_bearing: bool) -> list[Requirement]:
         """A film of such a joint as well."""
         film = self.film
         remedy = (
             "Give film=sj.laws.ShortBearing(length) or film=sj.laws.LongBearing(length)."
             if is_bearing
-            else "Give film=sj.laws.FullFilm() or film=sj.laws.RadialFilm(); bearings belong to revolute joints."
+            else "Give film=sj.laws.FullFilm() or film=sj.laws.LinedSocket(liner); bearings belong to revolute joints."
         )
         of = "of a journal in its bearing" if is_bearing else "of a ball in its socket"
         fits = film.is_of_bearing == is_bearing
@@ -257,9 +266,17 @@ class Lubricated(AbstractClearanceModel):
         return self.film.stores_energy
 
     @property
-    def offset_ratio(self) -> Scalar:
-        """e_h1/c, by which the film's offset biases an eccentricity; above `films.LARGEST_OFFSET_RATIO` a run warns."""
+    def offset_ratio(self) -> Scalar | None:
+        """e_h1/c, by which the film's offset biases an eccentricity; above `films.LARGEST_OFFSET_RATIO` a run warns.
+        None for a film that has no use for the offset."""
+        if self.film.carries_contact:
+            return None
         return jnp.asarray(self.e_h1 / self.clearance)
+
+    @property
+    def largest_ratio(self) -> float | None:
+        """That of dry contact; None where the film bears the ball instead."""
+        return None if self.film.carries_contact else super().largest_ratio
 
     @property
     def medium(self) -> Medium:
@@ -269,12 +286,14 @@ class Lubricated(AbstractClearanceModel):
     def respond(self, motion, memory) -> Response:
         """Film and contact forces on the ball."""
         surfaces = self.surfaces
-        weight = hybrid_weight(safe_norm(motion.eccentricity), self.clearance, self.e_h0)
+        weight = self._contact_share(motion)
         contact = contact_forces(motion, memory, surfaces, self.normal, self.friction, weight)
-        film = self.film.action(self._film_motion(motion, memory), self._film_gap(memory))
+        film_motion, gap = self._film_motion(motion, memory), self._film_gap(memory)
+        film = self.film.action(film_motion, gap)
         share = self._film_share(weight)
         ball_moment, socket_moment = contact_moments(motion, surfaces, contact.friction, contact.normal_force)
         penetration = self.penetration(motion)
+        thickness = self.film.thickness(film_motion, gap)
         return Response(
             force=share * film.force + contact.force,
             ball_moment=share * film.ball_moment + ball_moment,
@@ -291,7 +310,7 @@ class Lubricated(AbstractClearanceModel):
                 "film_moment": share * film.ball_moment,
                 "film_power": share * film.pressure_power,
                 "shear_power": share * film.shear_power,
-                "film_thickness": -penetration,
+                "film_thickness": -penetration if thickness is None else thickness,
                 "sliding_velocity": contact.sliding_velocity,
                 **self._heat_parts(film, memory),
             },
@@ -308,7 +327,7 @@ class Lubricated(AbstractClearanceModel):
         peak = self.film.pressure_peak(self._film_motion(motion, memory), self._film_gap(memory))
         if peak is None:
             return {}
-        weight = hybrid_weight(safe_norm(motion.eccentricity), self.clearance, self.e_h0)
+        weight = self._contact_share(motion)
         return {"film_pressure": self._film_share(weight) * peak.height, "film_pressure_place": peak.place}
 
     def film_range_share(self, motion: RelativeMotion, memory) -> Scalar | None:
@@ -319,6 +338,12 @@ class Lubricated(AbstractClearanceModel):
     def beyond_film_range(self) -> str:
         """Of the film, or of its oil that thickens."""
         return self.film.beyond_range or ("" if self.thickening is None else self.thickening.beyond_range)
+
+    def _contact_share(self, motion: RelativeMotion) -> Scalar:
+        """Of the dry contact's force that acts; none where the film bears the ball beyond the clearance too."""
+        if self.film.carries_contact:
+            return jnp.zeros(())
+        return hybrid_weight(safe_norm(motion.eccentricity), self.clearance, self.e_h0)
 
     def _film_share(self, weight: Scalar) -> Scalar:
         """Of the film's force: what contact leaves, or all of it where the film stores energy."""
@@ -362,6 +387,8 @@ class Lubricated(AbstractClearanceModel):
         With h = e_h0 and f = K delta^n: K delta^(n+2) / ((n+2) h) up to delta = h, then
         K h^(n+1) / (n+2) + K (delta^(n+1) - h^(n+1)) / (n+1); otherwise by 12 Gauss points in sqrt(delta).
         """
+        if self.film.carries_contact:
+            return jnp.zeros(())
         normal, h = self.normal, self.e_h0
         stiffness = stiffness_of(normal, self.surfaces)
         width = jnp.where(h > 0, h, 1.0)

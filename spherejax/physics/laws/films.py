@@ -108,10 +108,12 @@ class AbstractFilm(AbstractLaw):
     Attributes:
         is_of_bearing: whether it is that of a journal in a bearing, and not of a ball in a socket.
         thickens: whether it knows oil that thickens under pressure.
+        carries_contact: whether it bears the ball beyond the clearance too, on a liner, in place of dry contact.
         beyond_range: what its own `range_share` above 1 means, in words; empty where that is of the oil alone.
     """
 
     is_of_bearing: ClassVar[bool] = False
+    carries_contact: ClassVar[bool] = False
     thickens: ClassVar[bool] = False
     beyond_range: ClassVar[str] = ""
 
@@ -161,6 +163,10 @@ class AbstractFilm(AbstractLaw):
 
     def pressure_peak(self, motion: FilmMotion, gap: FilmGap) -> PressurePeak | None:
         """Largest pressure [Pa], and the unit vector from the center to its place; None for a film that knows none."""
+        return None
+
+    def thickness(self, motion: FilmMotion, gap: FilmGap) -> Scalar | None:
+        """The least thickness [m] between surfaces that give way; None where it is that of the rigid gap."""
         return None
 
     def requirements(self) -> list[Requirement]:
