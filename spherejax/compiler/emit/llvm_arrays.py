@@ -29,6 +29,10 @@ MOST_PIECES = 128
 """Pieces of other arrays that a large one may be moved together from, at most: each is a loop of its own."""
 
 
+FIRST_BLOCK = "work"
+"""The block with which the instructions of a function begin (`ffi_abi.beginning`)."""
+
+
 class NotWrittenError(Exception):
     """An operation has no rule here; XLA compiles the program instead."""
 
@@ -255,18 +259,20 @@ class ArrayText:
 
     def counted(self, n: int, write: Callable[[str], None]) -> None:
         """A loop of n turns, at least one; `write` is given the name of what counts them from 0."""
-        # In memory, as all that loops carry; LLVM makes a register of it.
-        counter = self.array((), "i64")
-        self.say(f"store i64 0, ptr {counter.name}, align 8")
-        turn, end = self.new("turn"), self.new("end")
+        turn, end, i, before = self.new("turn"), self.new("end"), self.new(), self._block()
         self.say(f"br label %{turn}")
         self.lines.append(f"{turn}:")
-        i = self.made(f"load i64, ptr {counter.name}, align 8")
+        place = len(self.lines)
         write(i)
         following = self.made(f"add nsw i64 {i}, 1")
-        self.say(f"store i64 {following}, ptr {counter.name}, align 8")
+        # A `phi`, which names the last block of the turn: what counts is in a register without any pass of LLVM.
+        self.lines.insert(place, f"  {i} = phi i64 [0, %{before}], [{following}, %{self._block()}]")
         self.say(f"br i1 {self.made(f'icmp slt i64 {following}, {n}')}, label %{turn}, label %{end}")
         self.lines.append(f"{end}:")
+
+    def _block(self) -> str:
+        """The name of the block that instructions are added to."""
+        return next((line[:-1] for line in reversed(self.lines) if line.endswith(":")), FIRST_BLOCK)
 
     # Entry by entry ---------------------------------------------------------------------------------------------------
 

@@ -167,7 +167,9 @@ def _target(avals: Sequence, *, program: ArrayProgram) -> str:
     del avals
     text, called = program.written()
     if program.called is None:
-        program.called = machine_code.target_of(text, is_wide=True, is_optimised=True, prefix=PREFIX)
+        # Without LLVM's passes, which put the scalar programs into each other: they take four fifths of its time (0.7 s
+        # for a chain of 50 bodies), and save 3 to 7 % of the function's.
+        program.called = machine_code.target_of(text, is_wide=True, is_optimised=False, prefix=PREFIX)
     machine_code.note_ffi_targets([*called, program.called])
     return program.called
 
