@@ -1,6 +1,7 @@
 """Large systems: work that grows with the number of bodies, the array path, and the switch to it."""
 
 import cases
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -93,6 +94,24 @@ def test_derivatives_of_the_array_path():
     above, below = (weights @ scalar.compute(theta + sign * h * direction, 0.0, y) for sign in (1, -1))
     assert reverse == pytest.approx(float(forward), rel=1e-9)
     assert forward == pytest.approx((above - below) / (2 * h), rel=1e-5)
+
+
+@pytest.mark.slow
+def test_a_run_and_its_gradient_on_both_paths(caplog):
+    """The array code as machine code, in values, rows of sensitivities, drift's correction and the start."""
+    ts = jnp.linspace(0.0, 0.3, 4)
+
+    def end(mass, scalar):
+        scene = eqx.tree_at(lambda scene: scene.bodies["link_03"].mass, sj.gallery.chain(5), mass)
+        return sj.simulate(scene, ts, scalar=scalar, rtol=1e-8).ys[-1]
+
+    with caplog.at_level("INFO", "spherejax.compiler"):
+        found = jax.jvp(lambda mass: end(mass, False), (0.7,), (1.0,))
+    assert not [record for record in caplog.records if record.name.endswith(("array_programs", "mapping"))]
+    expected = jax.jvp(lambda mass: end(mass, True), (0.7,), (1.0,))
+    for one, other, error in zip(found, expected, (1e-8, 1e-6), strict=True):
+        np.testing.assert_allclose(one, other, atol=error * np.abs(other).max())
+    assert np.abs(expected[1]).max() > 1e-3
 
 
 def test_stacked_numbers_are_picked_from_the_flat_vector():
