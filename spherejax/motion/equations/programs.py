@@ -41,9 +41,9 @@ Measured on chains and loops (`benchmarks/scaling.py`). By XLA 13,000 operations
 of these compiles in 2 s, and takes 6, 10 and 27 us. In machine code first calls (processor time, with the array code's
 behind) take 8 and 13 s with 25,000 operations, 11 and 14 with 38,000, 15 and 16 with 51,000, gradients 31 and 86 s with
 25,000; runs take as long as on array code up to 38,000 operations, those of closed loops half of that, and a third more
-with 51,000. Array code was XLA's then. As machine code it compiles sooner from 25,000 operations on: 7 and 11 s, gradients
-16 and 34 s (on a busy machine). A run takes as long as by scalar programs, its gradient up to twice that; many runs at
-once still go by XLA, which takes up to nine times as long."""
+with 51,000. Array code was XLA's then. As machine code it compiles sooner with 25,000: 7 and 11 s, gradients 16 and 34
+(on a busy machine). A run takes as long as by scalar programs, its gradient up to twice that; many runs at once go by
+XLA still, which takes up to nine times as long."""
 
 
 def largest_scalar_program() -> int:
