@@ -282,8 +282,13 @@ def test_a_film_beyond_its_range_is_said_with_the_cause_that_its_scene_can_have(
         said = cautions(shares, parts_with_a_range(system, y), texts_for(system))
         assert said.startswith("joint 'bearing': a film was used beyond its range: ")
         assert ("further out than 0.8" in said, "alpha q > 0.7" in said) == (is_out, is_thick)
+    socket = sj.laws.LinedSocket(sj.laws.WinklerLiner(1e9, 0.4, 8e-3), rings=4, around=8)
+    hip = sj.equations.compile_scene(sj.gallery.hip(sj.Lubricated(8e-5, film=socket))).system
+    assert "on a LinedSocket" in texts_for(hip)["film_range"]
+    assert "further out than 0.8" not in texts_for(hip)["film_range"]
     both = cautions(shares)
     assert "further out than 0.8" in both
+    assert "on a LinedSocket" in both
     assert "alpha q > 0.7" in both
 
 

@@ -268,6 +268,23 @@ def test_more_cells_come_nearer_to_it(case):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(("eps", "viscosity", "speed"), [(1.6, 5e-3, 2.0), (1.3, 5e-3, 2.0), (1.6, 2e-3, 1.0)])
+def test_the_film_of_a_hip_is_near_hamrock_and_dowsons(eps, viscosity, speed):
+    """Their formulas for soft elliptical contacts, of a half-space (1978, J. Lubr. Technol. 100:236-245):
+    7.32 (1 - 0.72 exp(-0.28)) U**0.64 W**-0.22 R' in the middle, 2.8 U**0.65 W**-0.21 R' at the least for a ball."""
+    film, e = sj.laws.LinedSocket(POLYETHYLENE, rings=12, around=24), eps * CLEARANCE
+    action, w = steady(film, (0, 0, e), GAP._replace(viscosity=viscosity), ((0, 0, 0), (speed, 0, 0)))
+    thickness = CLEARANCE - places_of(film)[:, 2] * e + np.maximum(w, 0.0)
+    modulus, reduced = 2 * 1e9 / (1 - 0.4**2), RADIUS * (RADIUS - CLEARANCE) / CLEARANCE
+    u = viscosity * 0.5 * speed * RADIUS / (modulus * reduced)
+    load = float(jnp.linalg.norm(action.force)) / (modulus * reduced**2)
+    middle = 7.32 * (1 - 0.72 * math.exp(-0.28)) * reduced * u**0.64 * load**-0.22
+    least = 2.8 * reduced * u**0.65 * load**-0.21
+    assert 0.75 < thickness[:24].mean() / middle < 1.05
+    assert 1.0 < thickness.min() / least < 1.6
+
+
+@pytest.mark.slow
 def test_a_hard_cup_would_bear_something_else():
     """So what the tests above see is the liner: at 0.95 of the clearance a hard one bears 1.16 times as much."""
     e = 0.95 * CLEARANCE * np.array([0.0, 1.0, 1.0]) / math.sqrt(2.0)
@@ -358,8 +375,8 @@ def pressed(model, load=1000.0):
     return sj.Scene({"ball": ball}, {"cup": joint}, gravity=(0.0, 0.0, load / 3.0), ground_points={"cup": (0, 0, 0)})
 
 
-def squeezed(load, times, cells=240):
-    """Eccentricity and thickness in the middle, by an axisymmetric solution of its own: 240 rings, the flow by the
+def squeezed(load, times, cells=90):
+    """Eccentricity and thickness in the middle, by an axisymmetric solution of its own: 90 rings, the flow by the
     mean thickness, and the ball's own motion."""
     step = math.pi / 2 / cells
     middles, faces = step * (np.arange(cells) + 0.5), step * np.arange(1, cells + 1)
@@ -394,22 +411,33 @@ def squeezed(load, times, cells=240):
 
 @pytest.mark.slow
 def test_a_ball_that_is_squeezed_through_the_clearance_sinks_as_a_fine_solution_does():
-    """From the center to 1.2 clearances: eccentricity within 1 %, thickness in the middle within 5 %."""
+    """From the center to 1.3 clearances, with 6 rings: eccentricity within 2 %, thickness in the middle within 4 %."""
     times = np.array([0.0, 1e-4, 1e-3, 1e-2, 0.1, 0.5])
     e, middle = squeezed(1000.0, times)
-    run = sj.simulate(pressed(model_of(rings=9)), times, rtol=1e-6)
+    run = sj.simulate(pressed(model_of(rings=6)), times, rtol=1e-6)
     assert run.succeeded
     found = np.asarray(run.eccentricity("cup"))[:, 2]
-    np.testing.assert_allclose(found[2:], e[2:], rtol=0.01)
+    np.testing.assert_allclose(found[1:], e[1:], rtol=0.02)
     memory = run.memory("cup")
-    cell = CLEARANCE - found * math.cos(math.pi / 36) + np.asarray(memory["deflection_0"])
-    np.testing.assert_allclose(cell[2:], middle[2:], rtol=0.05)
-    assert found[-1] > 1.1 * CLEARANCE
+    cell = CLEARANCE - found * math.cos(math.pi / 24) + np.asarray(memory["deflection_0"])
+    np.testing.assert_allclose(cell[1:], middle[1:], rtol=0.04)
+    assert found[-1] > 1.3 * CLEARANCE
     least = np.asarray(run.part("cup", "film_thickness"))
     assert (least <= cell + 1e-12).all()
     assert least[-1] > 0.5 * cell[-1]
+    with pytest.raises(sj.SceneError, match=r"joint 'cup' has a film .*: surfaces never touch and nothing wears"):
+        sj.wear(run, "cup", k_socket=1e-15, k_ball=0.0)
     peak = float(run.part("cup", "film_pressure")[-1])
     assert peak == pytest.approx(K * float(memory["deflection_0"][-1]), rel=1e-6)
+
+
+@pytest.mark.slow
+def test_a_ball_that_is_pressed_against_the_rim_is_said():
+    film = sj.laws.LinedSocket(POLYETHYLENE, axis=(0.0, 0.5, 0.5), rings=4, around=8)
+    model = eqx.tree_at(lambda m: m.film, model_of(), film)
+    with pytest.warns(sj.errors.OutOfRangeWarning, match=r"joint 'cup'.*on a LinedSocket .* rim of the cup"):
+        run = sj.simulate(pressed(model, 3000.0), np.array([0.0, 0.05]))
+    assert run.succeeded
 
 
 @pytest.mark.slow

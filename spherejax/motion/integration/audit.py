@@ -11,8 +11,8 @@
                  little against their clearance; beyond that the run goes on, and says so
     film         the offset e_h1 that keeps a film finite at the wall is small against the clearance; above a
                  twentieth of it the run goes on, and says so
-    film_range   a film is within what its equations are for: a journal on a liner no further out, oil that thickens
-                 under no more pressure; beyond that the run goes on, and says so
+    film_range   a film is within what its equations are for: a journal on a liner no further out, the film of a cup
+                 with a liner whole, oil that thickens under no more pressure; beyond that the run goes on, and says so
     axes         that an angle is about are not tilted against each other by half a turn, where there is none
 
 Whether it may add energy is asked of each part (`never_adds_energy`). The work of those that may (drivers, applied
@@ -53,6 +53,7 @@ from spherejax.motion.solvers.traits import is_linearly_implicit
 from spherejax.motion.start.tolerances import energy_scale, length_scale
 from spherejax.physics.laws.films import LARGEST_OFFSET_RATIO
 from spherejax.physics.laws.lined import LinedBearing
+from spherejax.physics.laws.lined_socket import LinedSocket
 from spherejax.physics.laws.thickening import AbstractThickening
 from spherejax.physics.state import unpack
 
@@ -119,7 +120,8 @@ FINDINGS = {
     "film": "the offset e_h1 of a film is more than a twentieth of the clearance: the film acts as if it were thicker "
     "by e_h1, and eccentricities under a load are too large by about the share e_h1/c; leave e_h1 and e_h0 out (they "
     "are 0.02 and 0.01 of the clearance then), or give smaller ones",
-    "film_range": f"{FILM_RANGE}: {LinedBearing.beyond_range}; or {AbstractThickening.beyond_range}",
+    "film_range": f"{FILM_RANGE}: {LinedBearing.beyond_range}; or {LinedSocket.beyond_range}; or "
+    f"{AbstractThickening.beyond_range}",
     "axes": "the axis that an angle is about was tilted by more than 170 degrees against its start, where there is no "
     "angle (a torsional spring, an actuator, a coupler between bodies that tilt): give the two bodies a joint about "
     "that axis, or the element another axis",

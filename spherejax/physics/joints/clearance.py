@@ -80,6 +80,11 @@ class AbstractClearanceModel(AbstractSphericalModel):
         return True
 
     @property
+    def surfaces_touch(self) -> bool:
+        """Whether there is a contact that rubs and wears (static)."""
+        return True
+
+    @property
     def detects_onsets(self) -> bool:
         """For every law: a step that flies through the wall would not feel it."""
         return True

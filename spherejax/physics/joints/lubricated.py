@@ -274,6 +274,11 @@ class Lubricated(AbstractClearanceModel):
         return jnp.asarray(self.e_h1 / self.clearance)
 
     @property
+    def surfaces_touch(self) -> bool:
+        """Beyond the clearance, but for a film that bears the ball there too."""
+        return not self.film.carries_contact
+
+    @property
     def largest_ratio(self) -> float | None:
         """That of dry contact; None where the film bears the ball instead."""
         return None if self.film.carries_contact else super().largest_ratio

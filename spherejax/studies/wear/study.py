@@ -119,6 +119,12 @@ def contact_surface(run: Trajectory, joint: str, length: float | None) -> Surfac
     if names_of(joint, known)[0] not in known:
         raise SceneError(f"joint {joint!r} has no contact that could wear; {one_of(known, str(joint))}")
     run.require_success()
+    model: Any = run.system.spherical(joint).model
+    if not model.surfaces_touch:
+        raise SceneError(
+            f"joint {joint!r} has a film that bears the ball beyond the clearance: surfaces never touch and nothing "
+            "wears. Run the scene with Dry(...) or the contact of Lubricated(...), e.g. conformity=its liner"
+        )
     return surface_of(run.system, joint, length)
 
 
