@@ -66,8 +66,13 @@ ROOM, ROOM_WITH_CONTACT = 1024, 4096
 contact 4 MB for a four-bar, 0.4 ms, of which no run with its impacts takes less than ten times as much."""
 
 FACTOR_OVER_KINKS = 0.1
-"""Errors of the mixture, where steps go over kinks: this share of what is allowed elsewhere. With 1 the gradient of a
-ball in a socket of 1e8 N/m is right to 1e-6, with 0.1 to 1e-7."""
+"""Errors of the mixture, where steps go over kinks: this share of what a row by one number is allowed. With 1 the
+gradient of a ball in a socket of 1e8 N/m is right to 1e-6, with 0.1 to 1e-7."""
+
+FACTOR_ELSEWHERE = 5.0
+"""Errors of the mixture elsewhere, of explicit methods: judged by its own size, it needs less than a row that may be
+small. At an rtol of 1e-8 the gradient of a dry four-bar by 96 numbers is right to 6e-9 with 1 and 2.5e-8 with 5, which
+takes 1,207 steps in place of 1,473; contacts with exponents 1.2, 1.5 and 2 are right to 2e-7, 2e-7 and 3e-9 with 5."""
 
 N_STRETCHES = 4096
 """So many of them, four million steps and more; the gradient of a run with more is NaN."""
@@ -150,7 +155,11 @@ def _pulled_back(plan: Plan, method: RunMethod, inputs: RunInputs, by_ys, by_ass
     job, _ = with_slopes(job_of_values, values, along[None])
     # Where explicit steps go over kinks by a step of their own, straight ones that begin behind them take their place.
     is_straight = is_explicit(method.rest) and bool(kinks_of(plan.structure))
-    factor = jnp.asarray(method.factor(plan.structure)) * (FACTOR_OVER_KINKS if is_straight else 1.0)
+    factor = jnp.asarray(method.factor(plan.structure))
+    if is_straight:
+        factor = factor * FACTOR_OVER_KINKS
+    elif is_explicit(method.rest) and method.tangent_tolerance_factor is None:  # who gives a tolerance has that
+        factor = factor * FACTOR_ELSEWHERE
     job = job._replace(numbers=job.numbers._replace(tangent_tolerance_factor=factor))
     kind = JobKind.of(plan, method, with_rows=True, moving=plan.unknown, by_steps=is_straight, is_mixture=True)
     rate = program_for(state_rate, plan.structure, plan.scalar)
