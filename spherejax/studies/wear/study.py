@@ -119,7 +119,7 @@ def contact_surface(run: Trajectory, joint: str, length: float | None) -> Surfac
     if names_of(joint, known)[0] not in known:
         raise SceneError(f"joint {joint!r} has no contact that could wear; {one_of(known, str(joint))}")
     run.require_success()
-    model: Any = run.system.spherical(joint).model
+    model: Any = run.system.spherical(names_of(joint, known)[0]).model  # planes of a journal that tilts have the same
     if not model.surfaces_touch:
         raise SceneError(
             f"joint {joint!r} has a film that bears the ball beyond the clearance: surfaces never touch and nothing "
