@@ -319,3 +319,22 @@ def test_by_the_weights_of_a_network_that_is_built_within_the_transformation():
     # The third derivative is large: with steps of 1e-4 differences have four digits, if the values have twelve.
     ahead, back = (wanted(eqx.combine(unflatten(flat + h * along), rest), 1e-12) for h in (1e-4, -1e-4))
     assert float(slope) == pytest.approx(float(ahead - back) / 2e-4, rel=1e-4)
+
+
+@pytest.mark.slow
+def test_a_gradient_of_many_bodies_is_made_of_rows():
+    """XLA ends the process where it compiles the way back of array code of so many bodies."""
+    scene, ts = sj.gallery.chain(42), jnp.linspace(0.0, 0.2, 3)
+    names = list(scene.bodies)[:36]
+
+    def end(masses):
+        heavier = eqx.tree_at(lambda scene: [scene.bodies[name].mass for name in names], scene, list(masses))
+        return sj.simulate(heavier, ts).position(list(scene.bodies)[-1])[-1, 0]
+
+    masses = jnp.array([float(scene.bodies[name].mass) for name in names])
+    gradient = jax.grad(end)(masses)
+    step = 1e-3 * masses[1] * jnp.eye(len(names))[1]
+    difference = (end(masses + step) - end(masses - step)) / (2 * step[1])
+    assert float(gradient[1]) == pytest.approx(float(difference), abs=1e-6 * float(jnp.max(jnp.abs(gradient))))
+    assert jnp.all(jnp.isfinite(gradient))
+    assert jnp.max(jnp.abs(gradient)) > 1e-3

@@ -168,9 +168,17 @@ Gradients by rows and back take as long as each other by some 40 weights of a ne
 and 0.73; 51: 0.46 and 0.38), and by some 30 numbers of a dry four-bar. The first call back takes 2 s more."""
 
 
+MOST_BODIES_BACK = 16
+"""Bodies up to which array code goes back along steps. XLA (JAX 0.10) ends the process where it compiles that of a
+chain of 42; its gradient by 36 numbers is made of rows."""
+
+
 def _goes_back(plan: Plan) -> bool:
     """Whether gradients of a run go back along its steps, in place of rows for all numbers."""
-    return len(plan.unknown) > MANY
+    if len(plan.unknown) <= MANY:
+        return False
+    n_bodies = example_of(plan.structure).layout.n_bodies
+    return n_bodies <= MOST_BODIES_BACK or program_for(state_rate, plan.structure, plan.scalar).scalar is not None
 
 
 def _shapes_of(arrays: list) -> tuple[jax.ShapeDtypeStruct, ...]:
