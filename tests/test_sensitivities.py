@@ -105,7 +105,7 @@ def test_the_reference_knows_its_derivatives(reference, reference_slopes):
     assert coarse.onset_rates == pytest.approx(reference_slopes.onset_rates, abs=2e-7 * 0.05)
 
 
-@pytest.mark.parametrize(("rtol", "agreement"), [(1e-6, 1e-4), (1e-8, 1e-6), (1e-11, 2e-7)])
+@pytest.mark.parametrize(("rtol", "agreement"), [(1e-6, 3e-4), (1e-8, 1e-6), (1e-11, 2e-7)])
 def test_states_by_every_number(jacobian_at, reference_slopes, rtol, agreement):
     _, slopes = jacobian_at(rtol)
     errors = {n: relative(slopes[i, 2, :5], reference_slopes.states[i]).max() for i, n in enumerate(IMPACTS)}
