@@ -323,7 +323,7 @@ def test_by_the_weights_of_a_network_that_is_built_within_the_transformation():
 
 @pytest.mark.slow
 def test_a_gradient_of_many_bodies_is_made_of_rows():
-    """XLA ends the process where it compiles the way back of array code of so many bodies."""
+    """XLA ends the process where it compiles the way back of array code with joints."""
     scene, ts = sj.gallery.chain(42), jnp.linspace(0.0, 0.2, 3)
     names = list(scene.bodies)[:36]
 
@@ -338,3 +338,17 @@ def test_a_gradient_of_many_bodies_is_made_of_rows():
     assert float(gradient[1]) == pytest.approx(float(difference), abs=1e-6 * float(jnp.max(jnp.abs(gradient))))
     assert jnp.all(jnp.isfinite(gradient))
     assert jnp.max(jnp.abs(gradient)) > 1e-3
+
+
+@pytest.mark.slow
+def test_a_gradient_through_array_code_is_that_through_a_scalar_program():
+    scene, ts = sj.gallery.four_bar(), jnp.linspace(0.0, 0.05, 3)
+    numbers, rest = eqx.partition(scene, eqx.is_inexact_array)
+    flat, unflatten = jax.flatten_util.ravel_pytree(numbers)
+    assert flat.size > MANY
+
+    def end(flat, scalar):
+        return sj.simulate(eqx.combine(unflatten(flat), rest), ts, scalar=scalar).position("rocker")[-1, 2]
+
+    by_arrays, by_numbers = (jax.grad(end)(flat, scalar) for scalar in (False, True))
+    np.testing.assert_allclose(by_arrays, by_numbers, rtol=0, atol=1e-7 * float(jnp.max(jnp.abs(by_numbers))))

@@ -179,7 +179,7 @@ def _conditions_of(part: "_PlacesOfPart", described: Any) -> list[Bool[Array, ""
     """Raise `SceneError` where a part is not legal; return the conditions that nobody can look at now.
 
     Those of `jax.grad` and `jax.jvp` outside `jax.jit` are looked at behind their tracers: as operations of JAX they
-    took a quarter of what a call of a gradient does besides its run.
+    took a sixth of what a call of a gradient does besides its run.
     """
     behind = known_behind(described)
     if len(behind) == 1 and behind[0] is not described and not is_tracing():

@@ -102,7 +102,7 @@ class ArrayProgram:
 
     def _along(self, moves: tuple[bool, ...]) -> tuple["ArrayProgram", "ArrayProgram", int]:
         avals = [v.aval for v in self.jaxpr.invars]
-        found: dict[str, Any] = {}
+        handed_on: dict[str, Any] = {}
 
         def values(*arguments: Any) -> list[Any]:
             def of_moving(*moving: Any) -> list[Any]:
@@ -111,22 +111,22 @@ class ArrayProgram:
 
             results, linear = jax.linearize(of_moving, *(x for m, x in zip(moves, arguments, strict=True) if m))
             # What is constant (indices, mostly) is not handed on.
-            leaves, found["tree"] = jax.tree.flatten(linear)
-            found["constants"] = {i: x for i, x in enumerate(leaves) if not isinstance(x, Tracer)}
-            residuals = [x for i, x in enumerate(leaves) if i not in found["constants"]]
-            found["avals"] = [jax.typeof(x) for x in residuals]
+            leaves, handed_on["tree"] = jax.tree.flatten(linear)
+            handed_on["constants"] = {i: x for i, x in enumerate(leaves) if not isinstance(x, Tracer)}
+            residuals = [x for i, x in enumerate(leaves) if i not in handed_on["constants"]]
+            handed_on["avals"] = [jax.typeof(x) for x in residuals]
             return [*results, *residuals]
 
         first = ArrayProgram.of(values, *avals)
 
         def slopes(*both: Any) -> list[Any]:
-            n = len(found["avals"])
-            residuals, constants = iter(both[:n]), found["constants"]
+            n = len(handed_on["avals"])
+            residuals, constants = iter(both[:n]), handed_on["constants"]
             leaves = [constants[i] if i in constants else next(residuals) for i in range(n + len(constants))]
-            return jax.tree.unflatten(found["tree"], leaves)(*both[n:])
+            return jax.tree.unflatten(handed_on["tree"], leaves)(*both[n:])
 
         tangents = [aval for m, aval in zip(moves, avals, strict=True) if m]
-        second = ArrayProgram.of(slopes, *found["avals"], *tangents)
+        second = ArrayProgram.of(slopes, *handed_on["avals"], *tangents)
         return first, second, len(self.jaxpr.outvars)
 
 
@@ -365,13 +365,13 @@ class ProgramText(LoopText):
             else:
                 source: Any = value.made if isinstance(value, Moved) else value
                 places.append(begin_of(source) + np.arange(source.size).reshape(value.shape))
-        found = []
+        moved = []
         for entries, aval in zip(moves(places, parameters), avals, strict=True):
             entries = np.broadcast_to(entries, aval.shape)
             if np.any(entries < 0):
                 raise NotWrittenError("a gather with an index out of range")
-            found.append(self._pruned(sources, begins, entries, kind_of(aval.dtype)))
-        return found
+            moved.append(self._pruned(sources, begins, entries, kind_of(aval.dtype)))
+        return moved
 
     @staticmethod
     def _pruned(sources: Sequence[Any], begins: Sequence[int], entries: np.ndarray, kind: str) -> Moved:

@@ -63,8 +63,8 @@ def elimination(writer: Any, values: Sequence[Value], pattern: BlockPattern, sma
         typed = f"<{width} x double>" if width > 1 else "double"
         return text.made(f"select i1 {is_negative}, {typed} {text.spread(nothing, DOUBLE, width)}, {typed} {entry}")
 
-    found = x._replace(shape=right.shape)
-    return text.entrywise(right.shape, DOUBLE, [found], judged)
+    solution = x._replace(shape=right.shape)
+    return text.entrywise(right.shape, DOUBLE, [solution], judged)
 
 
 def _forward(

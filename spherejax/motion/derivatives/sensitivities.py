@@ -55,12 +55,11 @@ def integrate_with_sensitivities(
     def slopes_by(by_start: bool) -> Callable:
         """The run and its slopes, by the first sample time behind the numbers where `by_start`."""
 
-        def now(inputs: RunInputs, arrays: Any) -> tuple[Outcome, Slopes]:
+        @jax.custom_jvp
+        def with_slopes(inputs: RunInputs, arrays: Any) -> tuple[Outcome, Slopes]:
             scale = with_start_time(plan.scales(inputs.values), by_start)
             run = run_and_slopes(plan, eqx.combine(arrays, others), inputs, _diagonal(scale), by_start)
             return run.outcome, Slopes(*_unscaled((run.slopes, run.assembly_slopes), scale))
-
-        with_slopes = jax.custom_jvp(now)
 
         def with_slopes_jvp(primals, tangents):
             inputs, moved = primals[0], tangents[0]
@@ -86,8 +85,7 @@ def integrate_with_sensitivities(
             )
 
         with_slopes.defjvp(with_slopes_jvp, symbolic_zeros=True)
-        # Of numbers nobody takes second derivatives: a rule for them would be a third of what JAX does for a gradient.
-        return lambda *given: now(*given) if all(map(is_concrete, jax.tree.leaves(given))) else with_slopes(*given)
+        return with_slopes
 
     def along_one_direction(outcome: Outcome, primals, tangent) -> Any:
         """The derivatives of samples and start along a tangent, whose transpose goes back along the run's steps."""
@@ -168,17 +166,16 @@ Gradients by rows and back take as long as each other by some 40 weights of a ne
 and 0.73; 51: 0.46 and 0.38), and by some 30 numbers of a dry four-bar. The first call back takes 2 s more."""
 
 
-MOST_BODIES_BACK = 16
-"""Bodies up to which array code goes back along steps. XLA (JAX 0.10) ends the process where it compiles that of a
-chain of 42; its gradient by 36 numbers is made of rows."""
-
-
 def _goes_back(plan: Plan) -> bool:
-    """Whether gradients of a run go back along its steps, in place of rows for all numbers."""
+    """Whether gradients of a run go back along its steps, in place of rows for all numbers.
+
+    Array code with joints does not: XLA (JAX 0.10) ends the process where it compiles the way back through their
+    elimination. Rows are right, and take as long as a run for each number.
+    """
     if len(plan.unknown) <= MANY:
         return False
-    n_bodies = example_of(plan.structure).layout.n_bodies
-    return n_bodies <= MOST_BODIES_BACK or program_for(state_rate, plan.structure, plan.scalar).scalar is not None
+    is_array_code = program_for(state_rate, plan.structure, plan.scalar).scalar is None
+    return not (is_array_code and example_of(plan.structure).joints)
 
 
 def _shapes_of(arrays: list) -> tuple[jax.ShapeDtypeStruct, ...]:

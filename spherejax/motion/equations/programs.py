@@ -166,8 +166,8 @@ class Program:
                 theta, stacks, t, y = jax.tree.unflatten(tree, arrays)
                 if stacks is None:
                     stacks = stacks_from(self.structure, theta)
-                leaves, found = jax.tree.flatten(self._as_arrays(self.structure.system(theta), stacks, t, y))
-                outputs.append(found)
+                leaves, form = jax.tree.flatten(self._as_arrays(self.structure.system(theta), stacks, t, y))
+                outputs.append(form)
                 return leaves
 
             examples = [jax.ShapeDtypeStruct(shape, jnp.float64) for shape in shapes]

@@ -448,7 +448,7 @@ class Landing:
         return jnp.where(is_first_of_flight, jnp.minimum(expected, as_long), expected)
 
     def _following(self, state: Pace, end, expected, mode, size, longer, is_event, may_release, longest_last):
-        """The size of the step [s] that follows a kept one, and the time until a release that comes within it."""
+        """The size of the step [s] that follows a kept one, and the time until a release that is foreseen."""
         first, second = (jnp.where(mode == 0, expected[0, i], expected[1, i]) for i in (0, 1))
         # The first step after an event is short by design, so its error says little of the second one's size.
         is_second = (state.n_since == 0) & ~is_event
