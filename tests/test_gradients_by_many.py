@@ -352,3 +352,23 @@ def test_a_gradient_through_array_code_is_that_through_a_scalar_program():
 
     by_arrays, by_numbers = (jax.grad(end)(flat, scalar) for scalar in (False, True))
     np.testing.assert_allclose(by_arrays, by_numbers, rtol=0, atol=1e-7 * float(jnp.max(jnp.abs(by_numbers))))
+
+
+@pytest.mark.slow
+def test_a_study_in_reverse_through_array_code_is_one_forward():
+    """It asks for the way back itself, whose place rows take."""
+
+    def chain(first, middle):
+        scene = sj.gallery.chain(42)
+        masses = [scene.bodies[name].mass * by for name, by in (("link_01", first), ("link_21", middle))]
+        return eqx.tree_at(lambda scene: [scene.bodies[name].mass for name in ("link_01", "link_21")], scene, masses)
+
+    def last(run):
+        return run.position("link_42")[-1, 0]
+
+    at, ts = {"first": 1.0, "middle": 1.3}, jnp.linspace(0.0, 0.2, 3)
+    back, ahead = (
+        np.ravel(sj.sensitivity(chain, at, ts, of=last, mode=mode).columns[0].slopes) for mode in ("reverse", "forward")
+    )
+    np.testing.assert_allclose(back, ahead, rtol=1e-6)
+    assert np.abs(ahead).min() > 1e-6

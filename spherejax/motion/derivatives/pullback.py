@@ -41,7 +41,7 @@ from spherejax.motion.integration.implicit_rows import differentiable_solver
 from spherejax.motion.integration.jobs import Job, JobKind, with_slopes
 from spherejax.motion.integration.lanes import Block, LaneProblem, StepLog, steps_in_lanes
 from spherejax.motion.integration.lanes.stages import explicit_tableau, own_time
-from spherejax.motion.integration.one_run import lane_job
+from spherejax.motion.integration.one_run import lane_job, run_and_slopes
 from spherejax.motion.integration.problem import (
     Parameters,
     Plan,
@@ -138,8 +138,25 @@ def pulled_back(
         return _pulled_back(plan, method, inputs, by_ys, by_assembly, along)
 
 
+def can_go_back(plan: Plan) -> bool:
+    """Whether the steps of a run can be gone back.
+
+    Those of array code with joints cannot: XLA (JAX 0.10) ends the process where it compiles the way back through their
+    elimination. Rows take their place; they are right, and take as long as a run for each number.
+    """
+    is_array_code = program_for(state_rate, plan.structure, plan.scalar).scalar is None
+    return not (is_array_code and example_of(plan.structure).joints)
+
+
 def gradient_of(plan: Plan, method: RunMethod, inputs: RunInputs, directions, by_ys) -> Float[Array, " p"]:
-    """`pulled_back` of a run whose numbers move along directions alone, shape (k, p): a mixture of these is carried."""
+    """`pulled_back` of a run whose numbers move along directions alone, shape (k, p): a mixture of these is carried.
+
+    Of what is right along these directions alone where steps cannot be gone back, see `can_go_back`.
+    """
+    if not can_go_back(plan):
+        rows = run_and_slopes(plan, method, inputs, directions)
+        scale = plan.scales(inputs.values)
+        return jnp.linalg.pinv(directions / scale) @ jnp.einsum("kns,ns->k", rows.slopes, by_ys) / scale
     along = jnp.asarray(mixture_of(directions.shape[0])[0]) @ directions
     return pulled_back(plan, method.with_solver(with_steps_back(method.solver)), inputs, by_ys, None, along)
 

@@ -18,7 +18,7 @@ from spherejax.foundations.errors import SceneError
 from spherejax.foundations.types import Flag
 from spherejax.model.system import example_of
 from spherejax.motion.derivatives.linear_operation import LinearMap, linear_operation
-from spherejax.motion.derivatives.pullback import pulled_back, with_steps_back
+from spherejax.motion.derivatives.pullback import can_go_back, pulled_back, with_steps_back
 from spherejax.motion.derivatives.through_touches import any_jump, warn_of_rosenbrock
 from spherejax.motion.equations.contacts import kinks_of
 from spherejax.motion.equations.dynamics import state_rate
@@ -167,15 +167,8 @@ and 0.73; 51: 0.46 and 0.38), and by some 30 numbers of a dry four-bar. The firs
 
 
 def _goes_back(plan: Plan) -> bool:
-    """Whether gradients of a run go back along its steps, in place of rows for all numbers.
-
-    Array code with joints does not: XLA (JAX 0.10) ends the process where it compiles the way back through their
-    elimination. Rows are right, and take as long as a run for each number.
-    """
-    if len(plan.unknown) <= MANY:
-        return False
-    is_array_code = program_for(state_rate, plan.structure, plan.scalar).scalar is None
-    return not (is_array_code and example_of(plan.structure).joints)
+    """Whether gradients of a run go back along its steps, in place of rows for all numbers."""
+    return len(plan.unknown) > MANY and can_go_back(plan)
 
 
 def _shapes_of(arrays: list) -> tuple[jax.ShapeDtypeStruct, ...]:
