@@ -1,9 +1,11 @@
 """First calls and runs of mechanisms with many bodies, and of their gradients by one mass.
 
     python benchmarks/first_calls_of_chains.py          # six minutes
+    python benchmarks/first_calls_of_chains.py --both   # ten minutes: both paths, of chains of 10 to 40 bodies, printed
 
 Chains of revolute joints, 1 s, eleven samples, at the default tolerance; each row is a process of its own without
-caches. First calls in processor time, for compilers use several cores; times of runs are the shortest of five.
+caches. First calls in processor time, for compilers use several cores, without the imports of the package's modules
+(`benchmarks/start_up.py`); times of runs are the shortest of five.
 """
 
 import argparse
@@ -16,11 +18,12 @@ import time
 import equinox as eqx, jax, jax.numpy as jnp
 import spherejax as sj
 ts = jnp.linspace(0.0, 1.0, 11)
+all_names = [getattr(sj, name) for name in sj.__all__]  # each loads its module: an import, and not the call
 def end(mass):
     scene = sj.gallery.{mechanism}({n})
     last = list(scene.bodies)[-1]
     scene = eqx.tree_at(lambda scene: scene.bodies[last].mass, scene, mass)
-    run = sj.simulate(scene, ts)
+    run = sj.simulate(scene, ts, scalar={scalar})
     return run.ys[-1, 0], run
 def call():
     return jax.block_until_ready({call})
@@ -41,11 +44,15 @@ SIZES = {"chain": (5, 10, 20, 50, 100), "n_four_bar": (2, 8)}
 GRADIENTS = {"chain": (5, 10, 20, 50), "n_four_bar": (2,)}
 
 
-def rows_of(mechanism: str, sizes, what: str, how: tuple[str, str]):
-    """A row for each size."""
+BOTH = {"chain": (10, 15, 20, 30, 40), "n_four_bar": (4, 8)}
+"""What is measured on both paths; closed loops are for their runs alone."""
+
+
+def rows_of(mechanism: str, sizes, what: str, how: tuple[str, str], scalar: bool | None = None):
+    """A row for each size; `scalar` as of `simulate`."""
     for n in sizes:
         call, steps = how
-        code = CODE.format(mechanism=mechanism, n=n, call=call, steps=steps)
+        code = CODE.format(mechanism=mechanism, n=n, call=call, steps=steps, scalar=scalar)
         first, taken, n_steps = numbers_printed(code, "0", 3)
         row = {
             "mechanism": mechanism,
@@ -62,7 +69,15 @@ def rows_of(mechanism: str, sizes, what: str, how: tuple[str, str]):
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.parse_args()
+    parser.add_argument("--both", action="store_true", help="scalar program and array code, printed")
+    if parser.parse_args().both:
+        for mechanism, sizes in BOTH.items():
+            for scalar in (True, False):
+                print("scalar program:" if scalar else "array code:")
+                list(rows_of(mechanism, sizes, "run", RUN, scalar))
+                if mechanism == "chain":
+                    list(rows_of(mechanism, sizes, "gradient", GRADIENT, scalar))
+        return
     rows = []
     for mechanism in SIZES:
         rows += rows_of(mechanism, SIZES[mechanism], "run", RUN)

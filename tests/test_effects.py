@@ -181,3 +181,11 @@ def test_effects_say_that_a_scene_runs_on_array_code_and_what_helps(monkeypatch)
     assert "give scalar=True" in str(told).splitlines()[-1]
     assert told.rows[0].n_operations == 0
     assert str(told).splitlines()[2].split()[-4:] == ["-"] * 4
+
+
+def test_effects_say_that_a_single_run_is_on_array_code_and_many_are_not():
+    told = sj.effects(sj.gallery.chain(20), timed=False)
+    assert str(told).splitlines()[-1].startswith("The scene runs on array code")
+    assert "for a single run" in told.note
+    (row,) = told.rows
+    assert f"{row.n_operations + row.n_operations_ahead:,} operations" in told.note

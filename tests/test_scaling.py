@@ -1,6 +1,7 @@
 """Large systems: work that grows with the number of bodies, the array path, and the switch to it."""
 
 import cases
+import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -17,6 +18,7 @@ from spherejax.motion.equations import programs
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import made_program, path_of, program_for
 from spherejax.motion.integration import compiling
+from spherejax.motion.integration.jobs import JobKind
 from spherejax.motion.integration.longest_step import longest_step
 from spherejax.motion.integration.problem import Plan, initial_state
 from spherejax.motion.solvers.automatic import choose_solver
@@ -138,10 +140,10 @@ def test_a_hundred_bodies_move_and_keep_their_energy():
 
 def test_the_path_follows_from_the_size():
     small, large = (structure_of(sj.gallery.chain(n))[0] for n in (4, 40))
-    assert path_of(small) == (None, "")
+    assert path_of(small) == (None, "", False)
     assert path_of(large).scalar is False
     assert f"{programs.largest_scalar_program()} scalar operations" in path_of(large).reason
-    assert path_of(large, True) == (True, "scalar program: as asked for")
+    assert path_of(large, True) == (True, "scalar program: as asked for", False)
     assert path_of(small, False).scalar is False
 
 
@@ -179,6 +181,65 @@ def test_a_run_switches_by_itself_and_says_so(monkeypatch):
     assert "500" in run.stats.explanation
     assert "as asked for" in asked.stats.explanation
     np.testing.assert_allclose(run.ys, asked.ys, atol=1e-9)
+
+
+def test_a_long_chain_alone_is_on_array_code_and_many_are_not(monkeypatch):
+    """Closed loops, whose array code is slower, stay on the scalar program, and so does what is not alone."""
+    chain, short, loops = (structure_of(s)[0] for s in (sj.gallery.chain(17), sj.gallery.chain(8), loops_of(25_000)))
+    assert path_of(chain).scalar is None
+    assert [path_of(each).alone_on_arrays for each in (chain, short, loops)] == [True, False, False]
+    plan = Plan(chain, (), None)
+    alone = compiling.for_one_run(plan, diffrax.Dopri8(), programs.MOST_ROWS_ALONE)
+    assert (alone.scalar, alone.is_alone) == (False, True)
+    assert compiling.for_one_run(plan, diffrax.Dopri8(), programs.MOST_ROWS_ALONE + 1) is plan
+    assert compiling.for_one_run(plan, sj.solvers.Rodas5P()) is plan, "array code has no linear systems of its own"
+    assert compiling.for_one_run(Plan(chain, (), True), diffrax.Dopri8()).scalar is True
+    monkeypatch.setattr(programs.native_code, "is_available", staticmethod(lambda: False))
+    assert path_of(chain).alone_on_arrays is False
+
+
+def loops_of(n_operations):
+    """The smallest chain of four-bars whose right-hand side has so many scalar operations."""
+    scenes = (sj.gallery.n_four_bar(n) for n in range(5, 10))
+    return next(s for s in scenes if program_for(state_rate, structure_of(s)[0]).scalar.n_operations >= n_operations)
+
+
+@pytest.mark.slow
+def test_a_run_alone_and_many_at_once_are_the_same_motion(monkeypatch):
+    """Values and derivatives; single ones on array code, those of `jax.vmap` on the scalar program, wherever it is."""
+    monkeypatch.setattr(programs, "SMALLEST_ALONE", 500)
+    monkeypatch.setattr(programs, "ALIKE", 2)
+    kinds, problem = [], JobKind.problem
+
+    def noted(kind, ts, shared):
+        kinds.append(kind.scalar)
+        return problem(kind, ts, shared)
+
+    monkeypatch.setattr(JobKind, "problem", noted)
+    ts, masses = jnp.linspace(0.0, 0.3, 4), jnp.array([0.5, 0.7, 0.9])
+
+    def end(mass):
+        scene = eqx.tree_at(lambda scene: scene.bodies["link_03"].mass, sj.gallery.chain(4), mass)
+        return sj.simulate(scene, ts).ys[-1]
+
+    def taken(how, numbers):
+        kinds.clear()
+        return np.asarray(how(numbers)), set(kinds)
+
+    alone, on_arrays = taken(lambda masses: np.stack([end(mass) for mass in masses]), masses)
+    assert on_arrays == {False}
+    for many in (jax.vmap(end), jax.vmap(jax.jit(end)), jax.jit(jax.vmap(end))):
+        values, on = taken(many, masses)
+        assert on == {None}
+        np.testing.assert_allclose(values, alone, atol=1e-8 * np.abs(alone).max())
+    slope, on_arrays = taken(jax.jacfwd(end), masses[1])
+    slopes, on = taken(jax.vmap(jax.vmap(jax.jacfwd(end))), masses[None])
+    assert (on_arrays, on) == ({False}, {None})
+    np.testing.assert_allclose(slopes[0, 1], slope, atol=1e-6 * np.abs(slope).max())
+    assert np.abs(slope).max() > 1e-3
+    one, on_arrays = taken(jax.vmap(end), masses[:1])
+    assert on_arrays == {False}, "one at once is alone"
+    np.testing.assert_allclose(one[0], alone[0], atol=1e-8 * np.abs(alone).max())
 
 
 def test_no_stiff_method_for_a_large_system():

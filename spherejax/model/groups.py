@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from spherejax.foundations.linear_algebra import rows_at
-from spherejax.model.system import Structure, System
+from spherejax.model.system import Structure, System, example_of
 from spherejax.physics.bodies import Body
 from spherejax.physics.joints.joint import AbstractPlacedJoint
 
@@ -67,6 +67,12 @@ def stacks_from(structure: Structure, theta) -> Stacks:
 
 
 @lru_cache(maxsize=256)
+def joints_by_kind(structure: Structure) -> tuple[tuple[str, ...], ...]:
+    """The names of a system's joints, those of one kind together."""
+    return tuple(map(tuple, _by_kind(example_of(structure))))
+
+
+@lru_cache(maxsize=256)
 def _places_of(structure: Structure) -> Stacks | None:
     """Where in the flat vector each of the stacked numbers is; None where stacking converts some."""
     size = sum(int(np.prod(shape)) for shape in structure.shapes)
@@ -88,14 +94,19 @@ def _full(inertia):
     return jnp.asarray(inertia) if np.ndim(inertia) == 2 else jnp.asarray(inertia)[:, None] * np.eye(3)
 
 
-def _joint_groups(system: System) -> tuple[JointGroup, ...]:
-    number = {name: i for i, name in enumerate(system.bodies, 1)}
+def _by_kind(system: System) -> list[list[str]]:
+    """The names of a system's joints, those of one kind together."""
     kinds: dict[Any, list[str]] = {}
     for name, joint in system.joints.items():
         leaves, tree = jax.tree.flatten(_anonymous(joint))
         kinds.setdefault((tree, tuple(np.shape(leaf) for leaf in leaves)), []).append(name)
+    return list(kinds.values())
+
+
+def _joint_groups(system: System) -> tuple[JointGroup, ...]:
+    number = {name: i for i, name in enumerate(system.bodies, 1)}
     groups = []
-    for names in kinds.values():
+    for names in _by_kind(system):
         joints = [system.joints[name] for name in names]
         ends = [tuple(number.get(body, 0) for body in joint.bodies) for joint in joints]
         stacked = _stacked([_anonymous(joint) for joint in joints])

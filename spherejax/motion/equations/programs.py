@@ -19,7 +19,7 @@ import numpy as np
 from jax.interpreters.partial_eval import dce_jaxpr
 
 from spherejax.compiler import ArrayProgram, NotScalarizable, ScalarProgram, native_code, scalarize
-from spherejax.model.groups import stacks_from
+from spherejax.model.groups import joints_by_kind, stacks_from
 from spherejax.model.system import Structure, System, example_of
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.program_cache import disk_cache, gc_paused
@@ -42,8 +42,15 @@ of these compiles in 2 s, and takes 6, 10 and 27 us. In machine code first calls
 behind) take 8 and 13 s with 25,000 operations, 11 and 14 with 38,000, 15 and 16 with 51,000, gradients 31 and 86 s with
 25,000; runs take as long as on array code up to 38,000 operations, those of closed loops half of that, and a third more
 with 51,000. Array code was XLA's then. As machine code it compiles sooner with 25,000: 7 and 11 s, gradients 16 and 34
-(on a busy machine). A run takes as long as by scalar programs, its gradient up to twice that; many runs at once go by
-XLA still, which takes up to nine times as long."""
+(on a busy machine). A run takes as long as by scalar programs, its gradient up to twice that: single runs are made by
+it from `SMALLEST_ALONE` on. Many runs at once go by XLA still, which takes up to nine times as long."""
+
+SMALLEST_ALONE, ALIKE = 20_000, 8
+"""A single run is on array code from so many scalar operations on, and from so many joints of each kind: the text of
+array code grows with the kinds, and not with the joints."""
+
+MOST_ROWS_ALONE = 8
+"""Derivatives by so many numbers of a single run are on array code with it, which takes one after the other."""
 
 
 def largest_scalar_program() -> int:
@@ -270,10 +277,12 @@ class ChosenPath(NamedTuple):
         scalar: what `program_for` is told: None for scalar programs that are not too large, True for scalar programs,
             False for array code.
         reason: one sentence; empty for the usual path.
+        alone_on_arrays: whether a single run by an explicit method is on array code all the same.
     """
 
     scalar: bool | None
     reason: str
+    alone_on_arrays: bool = False
 
 
 def path_of(structure: Structure, asked: bool | None = None) -> ChosenPath:
@@ -281,9 +290,36 @@ def path_of(structure: Structure, asked: bool | None = None) -> ChosenPath:
     if asked is not None:
         return ChosenPath(asked, "scalar program: as asked for" if asked else "array code: as asked for")
     if not program_for(state_rate, structure).too_large:
-        return ChosenPath(None, "")
+        return _path_of_usual_size(structure)
     return ChosenPath(
         False,
         f"array code over bodies and joints of a kind: more than {largest_scalar_program()} scalar operations would "
         "take long to compile. For many runs give scalar=True: a longer first call, and runs up to nine times shorter",
     )
+
+
+def _path_of_usual_size(structure: Structure) -> ChosenPath:
+    scalar = program_for(state_rate, structure).scalar
+    if scalar is None or scalar.n_operations < SMALLEST_ALONE:
+        return ChosenPath(None, "")
+    if not (native_code.is_available() and _is_of_like_joints(structure)):
+        return ChosenPath(None, "")
+    return ChosenPath(
+        None,
+        "array code over bodies and joints of a kind, for a single run by an explicit method: its scalar program of "
+        f"{scalar.n_operations:,} operations would take longer to compile. Many runs at once (jax.vmap, sj.sweep) and "
+        f"derivatives by more than {MOST_ROWS_ALONE} numbers are on that scalar program",
+        alone_on_arrays=True,
+    )
+
+
+def _is_of_like_joints(structure: Structure) -> bool:
+    """Whether the array code of a system is short: an open chain or tree of many joints of few kinds.
+
+    Closed loops take twice as long on array code, and contacts are not written as machine code.
+    """
+    system = example_of(structure)
+    if len(system.joints) > len(system.bodies) or system.contact_joints or system.touching_forces:
+        return False
+    n_kinds = len(joints_by_kind(structure)) + len(system.forces)
+    return len(system.joints) + len(system.forces) >= ALIKE * n_kinds

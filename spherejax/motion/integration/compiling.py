@@ -1,11 +1,12 @@
 """How the compiler is told to make the program of a run: soon, where it is large."""
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 from spherejax.compiler import hooks, native_code
 from spherejax.motion.equations.dynamics import state_rate
-from spherejax.motion.equations.programs import program_for
+from spherejax.motion.equations.programs import MOST_ROWS_ALONE, path_of, program_for
 from spherejax.motion.solvers.traits import is_explicit
 
 LARGE = 10_000
@@ -45,6 +46,20 @@ def in_machine_code(plan: Any) -> bool:
 def arrays_in_machine_code(plan: Any, solver: Any) -> bool:
     """Whether the array code of a run is machine code: of an explicit method, which calls it stage by stage."""
     return is_explicit(solver) and not in_machine_code(plan)
+
+
+def for_one_run(plan: Any, solver: Any, n_rows: int = 0) -> Any:
+    """The plan of a run that is made alone: on array code where its first result is there sooner so.
+
+    Args:
+        plan: a `Plan`.
+        solver: the method.
+        n_rows: rows of sensitivities beside the state.
+    """
+    may_be = plan.scalar is None and is_explicit(solver) and n_rows <= MOST_ROWS_ALONE
+    if not (may_be and path_of(plan.structure).alone_on_arrays):
+        return plan
+    return replace(plan, scalar=False, is_alone=True)
 
 
 def native_run(function: Callable[[], Any], is_native: bool, joins: bool = True) -> Any:

@@ -4,12 +4,13 @@ With sensitivities as rows below the state, or without; see `sensitivity_rows` f
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, NamedTuple
 
 import diffrax
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
@@ -120,6 +121,7 @@ class JobKind:
             made in straight time, and those of Rosenbrock methods with the state's matrix for all rows.
         is_mixture: whether one row stands for the sensitivities by all numbers: then it is judged by its own size,
             with explicit methods. Those of Rosenbrock methods have error estimates far above their errors.
+        is_alone: as of a `Plan`.
     """
 
     structure: Structure
@@ -132,11 +134,31 @@ class JobKind:
     control: Any = None
     by_steps: bool = False
     is_mixture: bool = False
+    is_alone: bool = False
 
     @classmethod
     def of(cls, plan: Plan, method: RunMethod, **others: Any) -> "JobKind":
         """That of a plan and a method; `others` as the attributes."""
-        return cls(plan.structure, plan.scalar, method.rest, control=method.control, **others)
+        return cls(plan.structure, plan.scalar, method.rest, control=method.control, is_alone=plan.is_alone, **others)
+
+    def of_many(self, numbers: RunNumbers) -> tuple["JobKind", RunNumbers]:
+        """The kind of many runs at once and their numbers, from those of a single one with a leading axis of runs."""
+        if not self.is_alone:
+            return self, numbers
+        kind = replace(self, scalar=None, is_alone=False)
+        rate = program_for(state_rate, kind.structure, kind.scalar)
+
+        def parameters(theta):
+            return Parameters(theta, rate.ahead(theta))
+
+        def of_one(own: RunNumbers) -> RunNumbers:
+            if own.slopes is None:
+                return own._replace(value=parameters(own.theta))
+            value, slopes = linearized(parameters, own.theta, own.slopes.theta)
+            return own._replace(value=value, slopes=slopes)
+
+        with rate.native_code():
+            return kind, jax.vmap(of_one)(numbers)
 
     @property
     def n_contacts(self) -> int:

@@ -21,7 +21,13 @@ from spherejax.motion.equations.contacts import crossings
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for
 from spherejax.motion.equations.sampling import initial_force_memory
-from spherejax.motion.integration.compiling import OF_START, arrays_in_machine_code, in_machine_code, options_for
+from spherejax.motion.integration.compiling import (
+    OF_START,
+    arrays_in_machine_code,
+    for_one_run,
+    in_machine_code,
+    options_for,
+)
 from spherejax.motion.integration.implicit_rows import usual_tangent_factor
 from spherejax.motion.integration.jobs import Job, JobKind, job_of, statistics, with_slopes
 from spherejax.motion.integration.lanes import Block, LaneOutcome, run_in_lanes
@@ -53,6 +59,8 @@ def run_of(plan: Plan, method: RunMethod, inputs: RunInputs) -> Outcome:
 
 def bound_run(plan: Plan, method: RunMethod, inputs: RunInputs) -> Callable[[], Outcome]:
     """`run_of` these arguments, to be called again and again."""
+    if method.stiff_rest is None:
+        plan = for_one_run(plan, method.rest)
     if inputs.ts.shape[0] > 2 and _are_known(method, inputs):
         return _in_windows(plan, method, inputs)
     return integrated.bound(plan, method, inputs)
@@ -187,7 +195,9 @@ def run_and_slopes(
     Directions are of length |p| or so, for all sensitivities to be in the units of the state. With `by_start` they have
     the first sample time as their last entry. The errors of the sensitivities are controlled as the state's.
     """
-    return _with_slopes(plan, method.decided, inputs, directions, by_start)
+    method = method.decided
+    plan = for_one_run(plan, method.rest, directions.shape[0])
+    return _with_slopes(plan, method, inputs, directions, by_start)
 
 
 def lane_job(plan: Plan, method: RunMethod, inputs: RunInputs, is_differentiated: bool = False) -> Job:

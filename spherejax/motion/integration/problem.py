@@ -70,12 +70,14 @@ class Plan:
         scalar: whether to run on scalar programs; None: on those that are not too large.
         from_state: whether the run starts from a flat state that the caller traces: it stands behind the traced
             numbers, so that derivatives by it are found like those by numbers.
+        is_alone: whether it is on array code because the run is a single one; many are on scalar programs.
     """
 
     structure: Structure
     unknown: tuple[int, ...]
     scalar: bool | None
     from_state: bool = False
+    is_alone: bool = False
 
     @property
     def traced(self) -> tuple[SceneNumber, ...]:

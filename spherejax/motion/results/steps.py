@@ -20,6 +20,7 @@ from spherejax.foundations.types import Flag
 from spherejax.model.system import Structure, System, flatten_by_factor
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for
+from spherejax.motion.integration.compiling import for_one_run
 from spherejax.motion.integration.jobs import JobKind, RunNumbers
 from spherejax.motion.integration.lanes import LaneOutcome, StepLog, steps_in_lanes
 from spherejax.motion.integration.problem import Parameters, Plan, RunMethod
@@ -106,7 +107,8 @@ def steps_of(
         )
     settings = repeatable(settings)
     structure, theta = flatten_by_factor(system)
-    plan, method = Plan(structure, (), scalar), RunMethod.of_settings(system, structure, settings)
+    method = RunMethod.of_settings(system, structure, settings)
+    plan = for_one_run(Plan(structure, (), scalar), method.rest)
     told, times, places = _compared(np.asarray(ts, float))
     y0 = jnp.asarray(ys[0])
     again = Repetition(method, jnp.asarray(theta), y0, times[jnp.array([0, -1])], jnp.array(True))

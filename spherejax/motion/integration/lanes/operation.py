@@ -48,6 +48,10 @@ class Kind(Protocol):
         """What every lane integrates, from what the runs share."""
         ...
 
+    def of_many(self, numbers: Any) -> tuple["Kind", Any]:
+        """The kind of many runs, and their numbers with a leading axis of runs, from those of a single one."""
+        ...
+
 
 class _Form(NamedTuple):
     """All that is static of the operation."""
@@ -137,8 +141,19 @@ def _batched(operands, dims, *, form: _Form):
         return found, [0] * len(found)
     whole = [x if mapped else jnp.broadcast_to(x, (n, *x.shape)) for x, mapped in zip(front, is_mapped, strict=True)]
     joined = [x.reshape(x.shape[0] * x.shape[1], *x.shape[2:]) for x in whole[form.n_shared :]]
+    form, joined = _of_many(form, joined)
     *found, n_lane_steps = _runs.bind(*operands[: form.n_shared], *joined, form=form)
     return [*(x.reshape(n, x.shape[0] // n, *x.shape[1:]) for x in found), n_lane_steps], [0] * len(found) + [None]
+
+
+def _of_many(form: _Form, joined: list) -> tuple[_Form, list]:
+    """A queue that was made for a single run, as one of many."""
+    numbers, *others = jax.tree.unflatten(form.own, joined)
+    if others[0].shape[0] == 1:
+        return form, joined
+    kind, numbers = form.kind.of_many(numbers)
+    leaves, tree = jax.tree.flatten((numbers, *others))
+    return form._replace(kind=kind, own=tree), leaves
 
 
 _runs = Primitive("runs")
