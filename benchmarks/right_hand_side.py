@@ -14,8 +14,8 @@ import spherejax as sj  # noqa: E402
 from spherejax.model.system import compile_scene, flatten_system  # noqa: E402
 from spherejax.motion.equations.dynamics import state_rate  # noqa: E402
 from spherejax.motion.equations.programs import program_for  # noqa: E402
-from spherejax.motion.integration.problem import as_ideal, initial_state  # noqa: E402
-from spherejax.motion.start.assembly import assemble_now  # noqa: E402
+from spherejax.motion.integration.problem import initial_state  # noqa: E402
+from spherejax.motion.start.assembly import as_ideal, assemble_now  # noqa: E402
 
 MODELS = {
     "ideal": sj.Ideal(),

@@ -19,8 +19,7 @@ from spherejax.motion.equations.constraints import constraint_set, velocity_viol
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for
 from spherejax.motion.equations.projection import corrected
-from spherejax.motion.integration.problem import as_ideal
-from spherejax.motion.start.assembly import assemble_now
+from spherejax.motion.start.assembly import as_ideal, assemble_now
 from spherejax.physics.bodies import inertia_in_world
 from spherejax.physics.state import unpack
 

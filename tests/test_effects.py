@@ -164,8 +164,7 @@ def test_an_effect_adds_and_takes_nothing_from_the_others():
 
 
 def _start(system):
-    from spherejax.motion.integration.problem import as_ideal
-    from spherejax.motion.start.assembly import assemble_now
+    from spherejax.motion.start.assembly import as_ideal, assemble_now
 
     return assemble_now(*flatten_system(as_ideal(system)))
 

@@ -17,8 +17,10 @@ import numpy as np
 import pytest
 
 import spherejax as sj
+from spherejax.model.system import compile_scene, flatten_system
 from spherejax.motion.derivatives import pullback, sensitivities
 from spherejax.motion.derivatives.sensitivities import MANY
+from spherejax.motion.start import assembly
 
 N = MANY + 8
 FREQUENCIES = jnp.arange(1, N + 1) / 7.0
@@ -319,6 +321,31 @@ def test_by_the_weights_of_a_network_that_is_built_within_the_transformation():
     # The third derivative is large: with steps of 1e-4 differences have four digits, if the values have twelve.
     ahead, back = (wanted(eqx.combine(unflatten(flat + h * along), rest), 1e-12) for h in (1e-4, -1e-4))
     assert float(slope) == pytest.approx(float(ahead - back) / 2e-4, rel=1e-4)
+
+
+@pytest.mark.slow
+def test_a_start_that_is_assembled_by_array_code_has_its_derivatives(monkeypatch):
+    """Of chains of 7 bodies and more; these bodies are moved by the assembly, so that masses and places matter."""
+    monkeypatch.setattr(assembly, "LARGEST_OF_START", 100)
+    monkeypatch.setattr(sensitivities, "MANY", 4)
+    scene, ts = sj.gallery.chain(3), jnp.linspace(0.0, 0.2, 3)
+    ideal, _ = flatten_system(assembly.as_ideal(compile_scene(scene).system))
+    assert assembly.is_assembled_by_arrays(ideal)
+    names = list(scene.bodies)
+    given = jnp.concatenate([jnp.ravel(jnp.asarray(scene.bodies[name].position)) for name in names])
+
+    def end(numbers):
+        masses, places = numbers[:3], numbers[3:].reshape(3, 3)
+        moved = eqx.tree_at(lambda scene: [scene.bodies[name].mass for name in names], scene, list(masses))
+        moved = eqx.tree_at(lambda scene: [scene.bodies[name].position for name in names], moved, list(places))
+        return sj.simulate(moved, ts).position(names[-1])[-1, 0]
+
+    numbers = jnp.concatenate([jnp.array([0.5, 0.7, 0.9]), given + 1e-3 * jnp.cos(jnp.arange(9.0))])
+    back = jax.grad(end)(numbers)
+    monkeypatch.setattr(sensitivities, "MANY", 100)
+    rows = jax.grad(end)(numbers)
+    np.testing.assert_allclose(back, rows, atol=1e-6 * np.abs(rows).max())
+    assert (np.abs(rows) > 1e-6).sum() > 4
 
 
 @pytest.mark.slow

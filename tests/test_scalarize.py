@@ -24,8 +24,8 @@ from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.observables import observe
 from spherejax.motion.equations.programs import program_for
 from spherejax.motion.equations.projection import corrected
-from spherejax.motion.integration.problem import as_ideal, initial_state
-from spherejax.motion.start.assembly import assemble_now
+from spherejax.motion.integration.problem import initial_state
+from spherejax.motion.start.assembly import as_ideal, assemble_now
 from spherejax.motion.start.start_now import start_now
 
 AGREEMENT = 1e-12  # of the largest component

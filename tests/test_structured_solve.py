@@ -17,10 +17,10 @@ from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for
 from spherejax.motion.integration.implicit_rows import solver_of_rows
 from spherejax.motion.integration.jobs import RunNumbers
-from spherejax.motion.integration.problem import Parameters, as_ideal
+from spherejax.motion.integration.problem import Parameters
 from spherejax.motion.integration.sensitivity_rows import linearized
 from spherejax.motion.solvers.implicit import systems_of, with_structure
-from spherejax.motion.start.assembly import assemble_now
+from spherejax.motion.start.assembly import as_ideal, assemble_now
 
 MODELS = {
     "ideal": sj.Ideal(),

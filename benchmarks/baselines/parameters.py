@@ -7,8 +7,8 @@ import numpy as np
 
 import spherejax as sj
 from spherejax.model.system import compile_scene, flatten_system
-from spherejax.motion.integration.problem import as_ideal, initial_state
-from spherejax.motion.start.assembly import assemble_now
+from spherejax.motion.integration.problem import initial_state
+from spherejax.motion.start.assembly import as_ideal, assemble_now
 from spherejax.physics.joints.contact import stiffness_of
 from spherejax.physics.laws.film import squeeze_coefficient
 

@@ -10,9 +10,12 @@ from typing import Any
 
 import jax
 import jax.core
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from spherejax.foundations.forms import is_numeric
+from spherejax.foundations.linear_algebra import rows_at
 from spherejax.model.system import Structure, System, is_own
 
 
@@ -48,6 +51,15 @@ class Picked:
         """The numbers, one after the other, from those of the system; without some of these."""
         numbers = np.concatenate([theta, self._constants]) if self._constants.size else theta
         return numbers[self._flat[~np.isin(self._flat, without)]] if without else numbers[self._flat]
+
+    @property
+    def has_constants(self) -> bool:
+        """Whether the function returns numbers of its own as well."""
+        return bool(self._constants.size)
+
+    def within(self, theta: Float[Array, " p"]) -> Float[Array, " k"]:
+        """`flat` within a trace: one operation, however many numbers there are."""
+        return rows_at(jnp.concatenate([theta, self._constants]) if self.has_constants else theta, self._flat)
 
     def has_any(self, indices: tuple[int, ...]) -> bool:
         """Whether some of these numbers of a system are among them."""

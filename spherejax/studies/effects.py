@@ -12,8 +12,8 @@ from spherejax.model.scene import Scene
 from spherejax.model.system import compile_scene, flatten_system
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import path_of, program_for
-from spherejax.motion.integration.problem import as_ideal, initial_state
-from spherejax.motion.start.assembly import assemble_now
+from spherejax.motion.integration.problem import initial_state
+from spherejax.motion.start.assembly import as_ideal, assemble_now
 from spherejax.physics.joints.base import AbstractSphericalModel
 from spherejax.physics.joints.ideal import Ideal
 

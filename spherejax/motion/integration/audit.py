@@ -41,7 +41,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from spherejax.foundations.types import Number, Scalar
+from spherejax.foundations.types import Number, Numeric, Scalar
 from spherejax.model.system import Structure, System
 from spherejax.motion.equations.body_motions import BodyMotions, body_motions
 from spherejax.motion.equations.constraints import constraint_set
@@ -486,14 +486,15 @@ class Audit(NamedTuple):
         return Audit(look, self.limits)
 
 
-def limits_of(system: System, rtol, solver: Any) -> Limits:
+def limits_of(system: System, rtol, solver: Any, scales: tuple[Numeric, Numeric] | None = None) -> Limits:
     """The limits for the scales of a scene.
 
     Args:
-        system: the system.
+        system: the system; with `scales` its numbers are not read.
         rtol: relative tolerance; None where it is not known.
         solver: the method. Where parts may add energy a Rosenbrock method's account of it is not good enough: it
             evaluates the power of stiff joints at states inside the step, far from the motion.
+        scales: its length [m] and energy [J], `length_and_energy`; None to take them from the system.
     """
     share = LARGEST_SHARE if rtol is None else ENERGY_SHARE + TOLERANCES * jnp.max(jnp.asarray(rtol))
     is_known = not (system.tracks_supply and is_linearly_implicit(solver))
@@ -503,8 +504,8 @@ def limits_of(system: System, rtol, solver: Any) -> Limits:
     # are right its account was off by 0.5e-3 of the energy at an rtol of 1e-6, Runge-Kutta methods' by 2e-7.
     coarse = ROSENBROCK_SHARE if is_linearly_implicit(solver) else 1.0
     loss = energy if system.conserves_energy else share * coarse if system.tracks_constraint_work else np.inf
-    length = jnp.minimum(length_scale(system), 1.0)
-    return Limits(energy, loss, LEAST_ENERGY * energy_scale(system), CONSTRAINT_SHARE * length)
+    length, motion = (length_scale(system), energy_scale(system)) if scales is None else scales
+    return Limits(energy, loss, LEAST_ENERGY * motion, CONSTRAINT_SHARE * jnp.minimum(length, 1.0))
 
 
 def look_of(structure: Structure, scalar: bool | None) -> Callable:

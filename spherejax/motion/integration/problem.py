@@ -23,7 +23,7 @@ from spherejax.foundations.remembering.same import Same
 from spherejax.foundations.types import Number, Scalar
 from spherejax.model.numbers import Number as SceneNumber
 from spherejax.model.numbers import numbers_of
-from spherejax.model.system import Structure, System, example_of, flatten_system
+from spherejax.model.system import Structure, System, example_of
 from spherejax.motion.equations.contacts import crossings, initial_memory, kinks_of, memory_after_step, onset_slopes
 from spherejax.motion.equations.programs import Program, program_for
 from spherejax.motion.equations.projection import correction_of
@@ -38,8 +38,8 @@ from spherejax.motion.solvers.automatic import AtStart
 from spherejax.motion.solvers.landing import ContactFunctions, without_memory
 from spherejax.motion.solvers.root_finder import with_converging_root_finder
 from spherejax.motion.solvers.traits import is_explicit, n_stages_of_end
-from spherejax.motion.start.assembly import Assembly, as_ideal, assemble
-from spherejax.motion.start.tolerances import Tolerances, controller_for, tolerances_of
+from spherejax.motion.start.assembly import Assembly, assemble, ideal_numbers
+from spherejax.motion.start.tolerances import Tolerances, controller_for, length_and_energy, tolerances_of
 
 
 class RunInputs(NamedTuple):
@@ -264,7 +264,7 @@ class RunMethod(eqx.Module):
             rtol, _ = self.tolerances
         else:
             rtol = getattr(eqx.combine(self.tolerances, self.control), "rtol", None)
-        return audit_limits(plan.structure.system(theta), rtol, self.rest)
+        return audit_limits(plan.structure, theta, rtol, self.rest)
 
 
 @lru_cache(maxsize=64)
@@ -276,9 +276,11 @@ def _taken_apart(structure: Structure, solver: Same, max_steps: int, *shapes: tu
     return leaves, tree, [next(i for i, leaf in enumerate(leaves) if leaf is each) for each in method.tolerances]
 
 
-def audit_limits(system: System, rtol, solver: Any) -> Limits:
+def audit_limits(structure: Structure, theta: Any, rtol, solver: Any) -> Limits:
     """From where on a run is wrong; constant where it is differentiated."""
-    return jax.lax.stop_gradient(jax.tree.map(jnp.asarray, limits_of(system, rtol, solver)))
+    theta, rtol = jax.lax.stop_gradient((theta, rtol))
+    limits = limits_of(example_of(structure), rtol, solver, length_and_energy(structure, theta))
+    return jax.lax.stop_gradient(jax.tree.map(jnp.asarray, limits))
 
 
 @lru_cache(maxsize=64)
@@ -364,8 +366,9 @@ def beginning(
     plan: Plan, theta: Float[Array, " p"], t: Scalar, start: Assembly | None
 ) -> tuple[Assembly, Float[Array, " size"]]:
     """The consistent start at time t [s], assembled unless it is given, and the flat state there."""
-    system = plan.structure.system(theta)
-    assembly = assemble(*flatten_system(as_ideal(system)), t) if start is None else start
+    assembly = assemble(*ideal_numbers(plan.structure, theta), t) if start is None else start
+    remembers = bool(example_of(plan.structure).all_slots)
+    system = plan.structure.system(theta) if remembers else example_of(plan.structure)
     return assembly, initial_state(system, assembly, t)
 
 
@@ -421,7 +424,7 @@ def initial_state(system: System, assembly: Assembly, t: Number = 0.0) -> Float[
     if assembly.y.shape[0] == layout.size:
         return jnp.asarray(assembly.y)
     without_memory = jnp.concatenate([assembly.y, jnp.zeros(layout.n_memory + layout.n_work)])
-    memory = initial_memory(system, without_memory)
+    memory = initial_memory(system, without_memory) if system.memory_slots else jnp.zeros(0)
     if system.force_slots:
         memory = jnp.concatenate([memory, initial_force_memory(system, jnp.asarray(t), without_memory)])
     return jnp.concatenate([assembly.y, memory, jnp.zeros(layout.n_work)])

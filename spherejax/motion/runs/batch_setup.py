@@ -89,7 +89,7 @@ class PreparedRuns:
         conditions = [*compiled.conditions, *traced_times(self.ts), *jump_conditions(system, self.ts)]
         legal = jnp.all(jnp.stack([jnp.array(True), *conditions]))
         assembly = None if start is None else start.assembly
-        limits, own = audit_limits(system, tolerances.rtol, settings.solver), method.own_tolerances
+        limits, own = audit_limits(structure, theta, tolerances.rtol, settings.solver), method.own_tolerances
         return job_of(plan, jnp.asarray(theta), self.ts, assembly, legal, limits, own, in_machine_code(plan))
 
     def problem(self) -> LaneProblem:

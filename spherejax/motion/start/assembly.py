@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from spherejax.foundations.checks import called, is_concrete
 from spherejax.foundations.errors import SceneError
@@ -20,10 +20,11 @@ from spherejax.foundations.lanes import over_lanes
 from spherejax.foundations.rotation import normalized, quaternion_from_rotation_vector, quaternion_product
 from spherejax.foundations.types import Numeric, Quaternion, Scalar, Vector3
 from spherejax.model.drift import NoDriftControl
-from spherejax.model.system import Structure, System, example_of
+from spherejax.model.picking import Picked, picked
+from spherejax.model.system import Structure, System, example_of, flatten_system
 from spherejax.motion.equations.body_motions import body_motions
 from spherejax.motion.equations.constraints import assembly_set, velocity_violation
-from spherejax.motion.equations.programs import program_for
+from spherejax.motion.equations.programs import Program, program_for
 from spherejax.motion.equations.projection import least_correction, without_velocities
 from spherejax.physics.state import POSITION_SIZE, VELOCITY_SIZE, Layout, State, pack, unpack
 
@@ -78,22 +79,33 @@ def as_ideal(system: System) -> System:
 
 def assemble(structure: Structure, theta: Numeric, t: Scalar | float = 0.0) -> Assembly:
     """Move bodies and velocities to a consistent start at time t [s]; for traced numbers, and differentiable."""
-    functions = (newton_step, consistent_velocities, assembly_residuals)
-    programs = [program_for(each, structure, largest=LARGEST_OF_START) for each in functions]
-    if any(program.scalar is None for program in programs):
-        # One that is small enough would be numbers among arrays: of 50 bodies thousands, one by one, and with their
-        # derivatives XLA takes 20 s for these alone.
-        programs = [program_for(each, structure, False) for each in functions]
-    step, project, residual = programs
-    described = described_state(structure.system(theta))
+    step, project, residual = _programs_of_start(structure)
+    described = _described_by(structure, theta)
     t = jnp.asarray(t, jnp.float64)
     moved = jax.lax.fori_loop(0, N_NEWTON_STEPS, lambda _, y: step(theta, t, y), described)
     moved = project(theta, t, moved)
     before, after = (_largest(residual(theta, t, y)) for y in (described, moved))
-    if structure.system(theta).is_driven:
+    if example_of(structure).is_driven:
         unmet = program_for(unmet_demands, structure)(theta, t, moved)
         after = jnp.maximum(after, jnp.where(unmet > UNMET_TOLERANCE, unmet, 0.0))
     return _report(described, moved, before, after)
+
+
+def _programs_of_start(structure: Structure) -> list[Program]:
+    """A Newton step, the projection of the velocities and the residuals, all of them scalar or none."""
+    functions = (newton_step, consistent_velocities, assembly_residuals)
+    programs = [program_for(each, structure, largest=LARGEST_OF_START) for each in functions]
+    if all(program.scalar is not None for program in programs):
+        return programs
+    # One that is small enough would be numbers among arrays: of 50 bodies thousands, one by one, and with their
+    # derivatives XLA takes 20 s for these alone.
+    return [program_for(each, structure, False) for each in functions]
+
+
+def is_assembled_by_arrays(structure: Structure) -> bool:
+    """Whether `assemble` is array code, through which derivatives go forward alone; of the structure of an ideal
+    system."""
+    return _programs_of_start(structure)[0].scalar is None
 
 
 LARGEST_OF_START = 8_000
@@ -177,22 +189,61 @@ def _report(described, moved, before, after, xp: Any = jnp) -> Assembly:
 
 
 def _largest(gaps: dict[str, Float[Array, " n"]], xp: Any = jnp) -> Scalar:
-    return xp.max(xp.concatenate([xp.zeros(1), *(xp.abs(gap) for gap in gaps.values())]))
+    return xp.max(xp.abs(xp.concatenate([xp.zeros(1), *gaps.values()])))
 
 
 def described_state(system: System) -> Float[Array, " n"]:
     """The start as the scene describes it, with unit quaternions, as a flat state without memory."""
-    bodies = list(system.bodies.values())
-    return pack(
-        State(
-            jnp.stack([jnp.asarray(body.position) for body in bodies]),
-            jnp.stack([normalized(jnp.asarray(body.quaternion)) for body in bodies]),
-            jnp.stack([jnp.asarray(body.velocity) for body in bodies]),
-            jnp.stack([jnp.asarray(body.angular_velocity) for body in bodies]),
-            jnp.zeros(0),
-            jnp.zeros(0),
-        )
-    )
+    return _packed(*(jnp.stack([jnp.asarray(part) for part in parts]) for parts in _motions_described(system)))
+
+
+def _motions_described(system: System) -> list[list]:
+    """Of all bodies the positions, orientations, velocities and angular velocities that the scene gives."""
+    names = ("position", "quaternion", "velocity", "angular_velocity")
+    return [[getattr(body, name) for body in system.bodies.values()] for name in names]
+
+
+def _packed(position, quaternion, velocity, angular_velocity) -> Float[Array, " n"]:
+    unit = over_lanes(normalized, quaternion)
+    return pack(State(position, unit, velocity, angular_velocity, jnp.zeros(0), jnp.zeros(0)))
+
+
+def _described_by(structure: Structure, theta: Numeric) -> Float[Array, " n"]:
+    """`described_state` of a system that is taken apart: of a hundred bodies, one by one, XLA takes a second for it."""
+    picks = _described_at(structure)
+    if picks is None:
+        return described_state(structure.system(theta))
+    parts = [pick.within(jnp.asarray(theta)) for pick in picks]
+    n_bodies = len(example_of(structure).bodies)
+    return _packed(*(part.reshape(n_bodies, -1) for part in parts))
+
+
+@lru_cache(maxsize=64)
+def _described_at(structure: Structure) -> list[Picked] | None:
+    """Where these motions are in the numbers of a system; None where they are not there as they are."""
+    picks = [picked(lambda system, i=i: _motions_described(system)[i], structure) for i in range(4)]
+    there = [pick for pick in picks if pick is not None]
+    return there if len(there) == len(picks) else None
+
+
+def ideal_numbers(structure: Structure, theta: Float[Array, " p"]) -> tuple[Structure, Any]:
+    """`flatten_system(as_ideal(system))` of a system that is taken apart, whose numbers are traced."""
+    pick = _ideal_at(structure)
+    if pick is None or is_concrete(theta):
+        return flatten_system(as_ideal(structure.system(theta)))
+    return Structure(pick.tree, pick.shapes, ()), pick.within(theta)
+
+
+def numbers_of_start(structure: Structure) -> Bool[np.ndarray, " p"]:
+    """Which numbers of a system its start may depend on."""
+    n, pick = structure.starts[-1], _ideal_at(structure)
+    return np.ones(n, bool) if pick is None or example_of(structure).all_slots else pick.among(n)
+
+
+@lru_cache(maxsize=64)
+def _ideal_at(structure: Structure) -> Picked | None:
+    pick = picked(as_ideal, structure)
+    return None if pick is None or pick.has_constants else pick
 
 
 def assembly_residuals(system: System, t: Scalar, y: Float[Array, " n"]) -> dict[str, Float[Array, " n_joint"]]:

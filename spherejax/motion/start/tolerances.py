@@ -273,6 +273,17 @@ def energy_scale(system: System) -> Numeric:
     return sum(body.mass for body in system.bodies.values()) * speed * speed
 
 
+def length_and_energy(structure: Structure, theta: Any) -> tuple[Numeric, Numeric]:
+    """`length_scale` and `energy_scale` of a system that is taken apart: few operations, however many bodies it has."""
+    at = _measured_at(structure)
+    if at is None:
+        system = structure.system(theta)
+        return length_scale(system), energy_scale(system)
+    theta = jnp.asarray(theta)
+    length, speed, _ = _scales_of(jnp, [kind.within(theta).reshape(-1, 3) for kind in at.vectors], np.zeros(0))
+    return length, jnp.sum(at.masses.within(theta)) * speed * speed
+
+
 def _by_kind(layout: Layout, xp, position, quaternion, velocity, angular_velocity, memory, work) -> Float[Array, " n"]:
     """The flat vector with one number for each kind of component."""
     n = layout.n_bodies

@@ -14,9 +14,8 @@ from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.errors import SceneError
 from spherejax.model.scene import Scene
 from spherejax.model.system import System, compile_scene, flatten_system
-from spherejax.motion.integration.problem import as_ideal
 from spherejax.motion.results.trajectory import Trajectory
-from spherejax.motion.start.assembly import assemble_now
+from spherejax.motion.start.assembly import as_ideal, assemble_now
 from spherejax.output.plot.mechanism import DrawnBody, DrawnJoint, Mechanism
 from spherejax.physics.bodies import GROUND, Body
 from spherejax.physics.forces.coupler import Turn
