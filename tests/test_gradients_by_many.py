@@ -20,6 +20,7 @@ import spherejax as sj
 from spherejax.model.system import compile_scene, flatten_system
 from spherejax.motion.derivatives import pullback, sensitivities
 from spherejax.motion.derivatives.sensitivities import MANY
+from spherejax.motion.integration.sensitivity_rows import scales_of
 from spherejax.motion.start import assembly
 
 N = MANY + 8
@@ -399,3 +400,43 @@ def test_a_study_in_reverse_through_array_code_is_one_forward():
     )
     np.testing.assert_allclose(back, ahead, rtol=1e-6)
     assert np.abs(ahead).min() > 1e-6
+
+
+def stiff_height(scene, rtol):
+    """Height of the rocker after 0.1 s [m], with a bushing whose damping time, 100 s, makes rates of 7e8 per second."""
+    return sj.simulate(scene, ts=jnp.array([0.0, 0.1]), rtol=rtol).position("rocker")[-1, 2]
+
+
+@pytest.mark.slow
+def test_a_gradient_that_a_run_does_not_determine_is_nan():
+    """At an rtol of 1e-7 it was wrong by a tenth, at 1e-6 by eleven orders of magnitude; without a word."""
+    scene = sj.gallery.four_bar(sj.Bushing(1e6, 100.0))
+    gradient = eqx.filter_grad(stiff_height)
+    for rtol in (1e-6, 1e-7):
+        with pytest.warns(sj.errors.SimulationWarning, match="does not determine its gradient"):
+            wrong = gradient(scene, rtol)
+        assert all(np.all(np.isnan(leaf)) for leaf in jax.tree.leaves((wrong.gravity, wrong.bodies["coupler"])))
+    right, finer = (gradient(scene, rtol).bodies["coupler"].velocity for rtol in (1e-8, 1e-9))
+    np.testing.assert_allclose(right, finer, rtol=1e-5)
+
+
+@pytest.mark.slow
+def test_a_derivative_that_moves_numbers_which_are_zero_but_for_rounding():
+    """Its row was as small as these numbers, and its errors vanished in the absolute tolerance: 6e4 for 9e-6."""
+    numbers, others = eqx.partition(sj.gallery.four_bar(sj.Bushing(1e6, 100.0)), eqx.is_inexact_array)
+    shares = np.random.default_rng(0)
+    along = jax.tree.map(lambda leaf: 1e-3 * shares.normal(size=leaf.shape) * jnp.abs(leaf), numbers)
+    loose, tight = (
+        jax.jvp(lambda numbers, rtol=rtol: stiff_height(eqx.combine(numbers, others), rtol), (numbers,), (along,))[1]
+        for rtol in (1e-6, 1e-9)
+    )
+    assert abs(loose - tight) < 1e-4 * abs(tight)
+
+
+def test_numbers_of_an_array_are_as_large_as_the_largest_of_them():
+    """One that is zero but for rounding too; and all of those of which none is larger than that."""
+    values = np.array([0.3, -1e-17, 2e-5, 0.0, 1e-17, 0.0, 0.0, 1e-17])
+    arrays = np.array([0, 0, 1, 2, 3, 3, 4, 5])
+    expected = [0.3, 0.3, 2e-5, 1.0, 1e-6, 1e-6, 1.0, 1e-9]
+    np.testing.assert_array_equal(scales_of(values, arrays), expected)
+    np.testing.assert_array_equal(jax.jit(lambda values: scales_of(values, arrays))(values), expected)

@@ -103,8 +103,9 @@ def integrate_with_sensitivities(
             (inputs, arrays), has_succeeded = jax.tree.unflatten(tree, leaves)
             method = eqx.combine(arrays, others)
             back = method.with_solver(with_steps_back(method.solver))
-            slopes = pulled_back(plan, back, inputs, *jax.tree.unflatten(image, y))
-            return [jnp.where(has_succeeded, slopes, jnp.nan)]
+            gradient = pulled_back(plan, back, inputs, *jax.tree.unflatten(image, y))
+            gradient.warn()
+            return [jnp.where(has_succeeded, gradient.slopes, jnp.nan)]
 
         def differentiable(leaves, x):
             _, jacobian = slopes_by(False)(*jax.tree.unflatten(tree, leaves)[0])

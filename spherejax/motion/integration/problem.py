@@ -7,7 +7,7 @@ many steps at most. `RunInputs` are numbers. Below them is what a program of the
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
 import diffrax
@@ -15,7 +15,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.lanes import in_lanes
@@ -110,8 +110,16 @@ class Plan:
         """
         n = len(self.unknown)
         if not self.from_state:
-            return scales_of(values)
-        return jnp.concatenate([jnp.asarray(scales_of(values[:n])), jnp.maximum(jnp.abs(values[n:]), 1.0)])
+            return scales_of(values, self._arrays)
+        return jnp.concatenate(
+            [jnp.asarray(scales_of(values[:n], self._arrays)), jnp.maximum(jnp.abs(values[n:]), 1.0)]
+        )
+
+    @cached_property
+    def _arrays(self) -> Int[np.ndarray, " n_unknown"]:
+        """Which array of the system each traced number belongs to."""
+        leaves = np.searchsorted(self.structure.starts, self.unknown, side="right")
+        return np.unique(leaves, return_inverse=True)[1]
 
 
 class RunMethod(eqx.Module):

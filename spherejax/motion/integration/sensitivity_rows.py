@@ -1,7 +1,7 @@
 """A state and its sensitivities as rows of one matrix, and what happens to them: rates, corrections, contact onsets.
 
-Sensitivities Y_k = s_k dy/dp_k are integrated together with the state (s_k = |p_k|, or 1 where p_k is 0, so that all
-are in the units of the state),
+Sensitivities Y_k = s_k dy/dp_k are integrated together with the state (s_k is the size of p_k, see `scales_of`, so that
+all are in the units of the state),
 
     y_rate = f(y, p),    Y_k_rate = df/dy Y_k + s_k df/dp_k,
 
@@ -35,7 +35,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.lanes import in_lanes
@@ -44,13 +44,35 @@ from spherejax.motion.equations.programs import Program
 from spherejax.motion.integration.unseen import Unseen
 from spherejax.motion.solvers.landing import ContactFunctions
 
+SMALLEST_IN_ARRAY, SMALLEST_ALONE = 1e-6, 1e-9
+"""Scales of numbers are no less, of those in arrays and of those by themselves.
 
-def scales_of(values: Any) -> Any:
-    """s_k of each number, shape (p,): its size, or 1 where it is 0; by NumPy where they are known, for each operation
-    alone would be a program of JAX's."""
+A sensitivity by a coordinate of 1e-17 m, which is zero but for rounding, would be as small in units of that coordinate,
+and its errors would vanish in the state's absolute tolerance: a derivative of a four-bar with a stiff bushing along a
+direction that moves such a coordinate was wrong by eight orders of magnitude."""
+
+
+def scales_of(values: Any, arrays: Int[np.ndarray, " p"] | None = None) -> Any:
+    """s_k of each number, shape (p,): the size of the largest in its array, or 1 where all of that are 0.
+
+    By NumPy where they are known, for each operation alone would be a program of JAX's.
+
+    Args:
+        values: the numbers.
+        arrays: which array each belongs to, whole numbers from 0 on, in order; None where each is by itself.
+    """
     xp: Any = np if is_concrete(values) else jnp
-    values = xp.asarray(values)
-    return xp.where(values == 0, 1.0, xp.abs(values))
+    sizes, smallest = xp.abs(xp.asarray(values)), SMALLEST_ALONE
+    if arrays is not None and arrays.size:
+        # Picked, not scattered: XLA:CPU (jax 0.10) aborts when it compiles the derivative of a scatter that it fuses.
+        counts = np.bincount(arrays)
+        first = np.cumsum(counts) - counts
+        places = first[:, None] + np.minimum(np.arange(counts.max()), counts[:, None] - 1)
+        sizes = xp.max(sizes[places], axis=1)[arrays]
+        smallest = np.where(counts > 1, SMALLEST_IN_ARRAY, SMALLEST_ALONE)[arrays]
+    if xp is jnp:
+        sizes = jax.lax.stop_gradient(sizes)
+    return xp.where(sizes == 0, 1.0, xp.maximum(sizes, smallest))
 
 
 def with_start_time(scales: Any, by_start: bool) -> Any:

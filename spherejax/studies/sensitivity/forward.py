@@ -16,7 +16,6 @@ from spherejax.motion.equations.contacts import abrupt_contacts
 from spherejax.motion.equations.programs import path_of
 from spherejax.motion.integration.one_run import run_and_slopes
 from spherejax.motion.integration.problem import Plan, RunInputs, RunMethod
-from spherejax.motion.integration.sensitivity_rows import scales_of
 from spherejax.motion.integration.statistics import Statistics
 from spherejax.motion.results.trajectory import Trajectory
 from spherejax.motion.runs.many import built
@@ -139,7 +138,7 @@ def forward(
     if is_linearly_implicit(prepared.method.solver):
         warn_of_rosenbrock(abrupt_contacts(system_at(flat, numbers, settings.track_work)), prepared.method.solver, 4)
     numbers = jnp.asarray(numbers)
-    scale = scales_of(numbers)
+    scale = flat.unknowns.scales(numbers)
     values, directions, are_legal = traced_numbers(flat, prepared.plan, numbers, scale, settings.track_work)
     inputs = RunInputs(values, prepared.known, prepared.ts, prepared.start, are_legal)
     outcome, slopes, _ = run_and_slopes(prepared.plan, prepared.method, inputs, directions)

@@ -9,7 +9,6 @@ import numpy as np
 from spherejax.motion.derivatives.pullback import gradient_of
 from spherejax.motion.integration.one_run import run_of
 from spherejax.motion.integration.problem import RunInputs
-from spherejax.motion.integration.sensitivity_rows import scales_of
 from spherejax.motion.integration.status import Status
 from spherejax.motion.settings import RunSettings
 from spherejax.program_cache import cached_jit
@@ -39,7 +38,7 @@ def reverse(
     prepared = prepare(flat, numbers, times, settings)
     plan, known = prepared.plan, prepared.known
     numbers = jnp.asarray(numbers)
-    scale = scales_of(numbers)
+    scale = flat.unknowns.scales(numbers)
     values, directions, are_legal = traced_numbers(flat, plan, numbers, scale, settings.track_work)
     inputs = RunInputs(values, known, prepared.ts, prepared.start, are_legal)
     made = run_of(plan, prepared.method, inputs)

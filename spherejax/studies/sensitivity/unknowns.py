@@ -1,5 +1,6 @@
 """Parameters of a builder as a flat list of named numbers."""
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -12,6 +13,7 @@ from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.forms import visible
 from spherejax.model.scene import Scene
+from spherejax.motion.integration.sensitivity_rows import scales_of
 
 
 @dataclass(frozen=True)
@@ -32,6 +34,12 @@ class Unknowns:
             entries = np.ndindex(shape)
             found += [f"{name}[{', '.join(map(str, entry))}]" if shape else name for entry in entries]
         return tuple(found)
+
+    def scales(self, numbers) -> Any:
+        """What derivatives by all numbers, in order, are multiplied by while they are integrated: see `scales_of`."""
+        return scales_of(
+            numbers, np.repeat(np.arange(len(self.shapes)), [math.prod(shape) for _, shape in self.shapes])
+        )
 
     def by_name(self, numbers) -> dict[str, Any]:
         """The parameters as the builder takes them, from all numbers in order."""
