@@ -112,8 +112,8 @@ class Gradient(NamedTuple):
 
 UNDETERMINED = (
     "the run does not determine its gradient, which is NaN: an error of one step, as large as rtol allows, changes "
-    "what is differentiated by {:.2g} times its size. Tighten rtol, shorten the run, or change what makes the motion so "
-    "sensitive (a damping time of a bushing that is far longer than the run, chaotic motion)"
+    "what is differentiated by {:.2g} times its size. Tighten rtol, shorten the run, or change what makes the motion "
+    "so sensitive (a damping time of a bushing that is far longer than the run, chaotic motion)"
 )
 
 
