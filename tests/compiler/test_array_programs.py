@@ -9,6 +9,7 @@ from spherejax.compiler import ArrayProgram, native_code
 from spherejax.compiler.emit.llvm_arena import shared_room
 from spherejax.compiler.emit.llvm_arrays import NotWrittenError
 from spherejax.compiler.linear_algebra import BlockPattern, block_solve, mapped, rows_at
+from spherejax.compiler.native import loops
 
 pytestmark = pytest.mark.skipif(not native_code.is_available(), reason="no machine code with this jaxlib")
 
@@ -75,6 +76,30 @@ def test_what_is_mapped_is_one_scalar_program_whatever_the_number_of_things():
 def test_a_function_that_closes_over_traced_values_is_mapped_as_array_code():
     found, expected = both(lambda x, v: mapped_over(lambda x: x * v[0], x), X, V)
     np.testing.assert_allclose(found, expected, rtol=1e-15)
+
+
+def test_a_long_loop_around_array_code_is_left_to_xla(monkeypatch, caplog):
+    program = ArrayProgram.of(lambda x: [jnp.sin(x) * 0.5 + x[::-1]], jax.ShapeDtypeStruct((40,), float))
+
+    def turned():
+        return jax.lax.fori_loop(0, 5, lambda _, x: jnp.cos(program(x)[0]), jnp.asarray(V))
+
+    def results():
+        with caplog.at_level("INFO", "spherejax.compiler"):
+            caplog.clear()
+            found = jax.jit(lambda: native_code(True)(turned)())()
+        return found, [record.message for record in caplog.records]
+
+    whole, said = results()
+    assert not said
+    monkeypatch.setattr(loops, "LARGEST_AROUND_ARRAYS", 5)
+    by_xla, said = results()
+    assert said == ["a loop of a run is left to XLA: a long loop around array code"]
+    expected = V
+    for _ in range(5):
+        expected = np.cos(np.sin(expected) * 0.5 + expected[::-1])
+    for found in (whole, by_xla):
+        np.testing.assert_allclose(found, expected, rtol=1e-13)
 
 
 def test_outside_of_machine_code_nothing_changes():

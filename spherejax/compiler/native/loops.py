@@ -68,6 +68,12 @@ PREFIX = "spherejaxloop_"
 """Of the names of these functions; they come behind those that they call."""
 
 
+LARGEST_AROUND_ARRAYS = 35_000
+"""Lines of a loop that calls array code (`array_programs`), at most. LLVM takes 60 us for each, 3.4 s for 15 bodies
+of a chain (54,000), whose loop XLA compiles in 1.2 s and which then runs as fast, for its time goes into what it
+calls. That of a dry four-bar (21,000) takes 0.8 s, and its run 28 ms in place of 40."""
+
+
 @_loop.def_abstract_eval
 def _shapes(*_: Any, results: tuple, **__: Any) -> list:
     return list(results)
@@ -100,6 +106,7 @@ class LoopText:
         self.parameters, self.avals, self.results = parameters, avals, results
         self.text = ArrayText()
         self.called: dict[str, None] = {}
+        self._calls_arrays = False
         self._functions: list[str] = []
         self._at_begin: list[str] = []
 
@@ -178,6 +185,9 @@ class LoopText:
         """The results of an operation."""
         name, parameters = equation.primitive.name, equation.params
         avals = [out.aval for out in equation.outvars]
+        self._calls_arrays = self._calls_arrays or name == "array_program"
+        if self._calls_arrays and len(self.text.lines) > LARGEST_AROUND_ARRAYS:
+            raise NotWrittenError("a long loop around array code")
         if equation.effects:  # a print or a callback needs JAX's runtime
             raise NotWrittenError(f"the operation {name!r} has an effect")
         if name in INNER_PROGRAM:
