@@ -440,3 +440,13 @@ def test_numbers_of_an_array_are_as_large_as_the_largest_of_them():
     expected = [0.3, 0.3, 2e-5, 1.0, 1e-6, 1e-6, 1.0, 1e-9]
     np.testing.assert_array_equal(scales_of(values, arrays), expected)
     np.testing.assert_array_equal(jax.jit(lambda values: scales_of(values, arrays))(values), expected)
+
+
+@pytest.mark.slow
+def test_stages_that_are_written_in_turn_are_those_of_the_loop(monkeypatch):
+    height, at = four_bar_by_numbers()
+    in_turn = jax.grad(height)(at)
+    monkeypatch.setattr(pullback, "MOST_NUMBERS", 0)
+    pullback.pulled_back.clear()
+    np.testing.assert_allclose(jax.grad(height)(at), in_turn, atol=1e-9 * np.abs(in_turn).max())
+    pullback.pulled_back.clear()

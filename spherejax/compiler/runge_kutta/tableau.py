@@ -94,11 +94,7 @@ class Tableau(NamedTuple):
 
         def with_stage(i, k):
             x = jax.lax.switch(i, arguments, y, k) if in_lanes else y + combined(A[i], k)
-            if bend is None:
-                increment = h * rate(t + c[i] * dt, x)
-            else:
-                instant, speed = c[i] * (1 - bend * (1 - c[i])), 1 - bend * (1 - 2 * c[i])
-                increment = h * speed * rate(t + instant * dt, x)
+            increment = _increment(rate, t, dt, h, c[i], x, bend)
             if solve is not None:
                 # Of a state of 32 bits the loop has to carry 32 bits.
                 increment = self.gamma * solve(increment + combined(C[i], k) + d[i].astype(y.dtype) * slope)
@@ -108,7 +104,20 @@ class Tableau(NamedTuple):
         # From zeros: a sum over a whole row of A then reads stages to come, whose weights are zero, as 0 times 0.
         return jax.lax.fori_loop(0, n if n_made is None else n_made, with_stage, jnp.zeros((n, *y.shape), y.dtype))
 
-    def sums_of(self, k: Array) -> list[Array]:
+    def explicit_stages_in_turn(
+        self, rate: Callable[[Array, Array], Array], t: Array, h: Array, y: Array, bend: Array | None
+    ) -> list[Array]:
+        """The increments of an explicit step of one run, as `stages` makes them, each written by itself.
+
+        Each sum reads the increments that it has weights for, and so its derivative in reverse reaches these alone. In
+        the loop of `stages` that goes through the increments of all stages four times for each of them.
+        """
+        k: list[Array] = []
+        for row, instant in zip(self.A, self.c, strict=True):
+            k.append(_increment(rate, t, h, h, instant, _moved(row, y, k), bend))
+        return k
+
+    def sums_of(self, k: Array | Sequence[Array]) -> list[Array]:
         """The wanted sums of the increments."""
         return [_weighted(weights, k) for weights in self.sums]
 
@@ -119,11 +128,18 @@ def combined(weights: Any, k: Array) -> Array:
     return jnp.sum(wide * k, axis=0)
 
 
-def _moved(row: Row, y: Array, k: Array) -> Array:
+def _increment(rate: Callable, t: Array, dt: Array, h: Array, c: Any, x: Array, bend: Array | None) -> Array:
+    if bend is None:
+        return h * rate(t + c * dt, x)
+    instant, speed = c * (1 - bend * (1 - c)), 1 - bend * (1 - 2 * c)
+    return h * speed * rate(t + instant * dt, x)
+
+
+def _moved(row: Row, y: Array, k: Array | Sequence[Array]) -> Array:
     return y + _weighted(row, k)
 
 
-def _weighted(weights: Row, k: Array) -> Array:
+def _weighted(weights: Row, k: Array | Sequence[Array]) -> Array:
     # A product of matrices is far slower over lanes, and would make 0 times infinity of a stage without weight.
     return sum(w * k[j] for j, w in enumerate(weights) if w)  # pyright: ignore[reportReturnType]
 
