@@ -45,7 +45,7 @@ with 51,000. Array code was XLA's then. As machine code it compiles sooner with 
 (on a busy machine). A run takes as long as by scalar programs, its gradient up to twice that: single runs are made by
 it from `SMALLEST_ALONE` on. Many runs at once go by XLA still, which takes up to nine times as long."""
 
-SMALLEST_ALONE, ALIKE = 15_000, 8
+SMALLEST_ALONE, ALIKE = 14_000, 8
 """A single run is on array code from so many scalar operations on, and from so many joints of each kind: the text of
 array code grows with the kinds, and not with the joints.
 
