@@ -225,11 +225,11 @@ def on_grid(e, spin, foundation, viscosity, cover=math.pi / 2, polar=45, around=
 
 FINE = (
     (0.5, 0.0, 0.005, (0.01, 0.01), (0.005, 0.005)),
-    (0.8, 1.0, 0.005, (0.12, 0.04), (0.03, 0.01)),
-    (0.95, 1.0, 0.5, (0.14, 0.30), (0.055, 0.07)),
-    (1.1, 0.5, 0.5, (0.04, 0.03), (0.01, 0.01)),
-    (1.2, 0.5, 0.5, (0.06, 0.02), (0.01, 0.03)),
-    (1.6, 0.0, 0.5, (0.04, 0.14), (0.02, 0.08)),
+    (0.8, 1.0, 0.005, (0.03, 0.04), (0.005, 0.01)),
+    (0.95, 1.0, 0.5, (0.055, 0.26), (0.012, 0.04)),
+    (1.1, 0.5, 0.5, (0.025, 0.03), (0.01, 0.01)),
+    (1.2, 0.5, 0.5, (0.025, 0.02), (0.01, 0.01)),
+    (1.6, 0.0, 0.5, (0.015, 0.08), (0.012, 0.06)),
 )
 """|e|/c, tangent of its angle to the axis, viscosity; how far the load may be off, and the thickness in the cell that
 is nearest to the load, with 6 x 12 and with 12 x 24 cells. A ball of 2 rad/s in polyethylene."""
@@ -254,7 +254,7 @@ def beside_a_grid(case, rings, around):
 def test_a_turning_ball_has_the_load_of_a_fine_grid(case):
     load, pressure, thickness = beside_a_grid(case, 6, 12)
     assert load < case[3][0]
-    assert pressure < 0.15
+    assert pressure < 0.22
     assert thickness < case[3][1]
 
 
@@ -427,6 +427,9 @@ def test_a_ball_that_is_squeezed_through_the_clearance_sinks_as_a_fine_solution_
     assert least[-1] > 0.5 * cell[-1]
     with pytest.raises(sj.SceneError, match=r"joint 'cup' has a film .*: surfaces never touch and nothing wears"):
         sj.wear(run, "cup", k_socket=1e-15, k_ball=0.0)
+    # Nothing grows round the axis, also while the film drains: so it does where too much counts as resolved.
+    rings = np.stack([np.asarray(memory[f"deflection_{i}"]) for i in range(48)], 1).reshape(-1, 6, 8)
+    assert np.ptp(rings, axis=2).max() < 1e-6 * CLEARANCE
     peak = float(run.part("cup", "film_pressure")[-1])
     assert peak == pytest.approx(K * float(memory["deflection_0"][-1]), rel=1e-6)
 
