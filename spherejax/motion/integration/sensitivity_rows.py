@@ -44,7 +44,7 @@ from spherejax.motion.equations.programs import Program
 from spherejax.motion.integration.unseen import Unseen
 from spherejax.motion.solvers.landing import ContactFunctions
 
-SMALLEST_IN_ARRAY, SMALLEST_ALONE = 1e-6, 1e-9
+SMALLEST_IN_ARRAY, SMALLEST_SCALE = 1e-6, 1e-9
 """Scales of numbers are no less, of those in arrays and of those by themselves.
 
 A sensitivity by a coordinate of 1e-17 m, which is zero but for rounding, would be as small in units of that coordinate,
@@ -62,14 +62,14 @@ def scales_of(values: Any, arrays: Int[np.ndarray, " p"] | None = None) -> Any:
         arrays: which array each belongs to, whole numbers from 0 on, in order; None where each is by itself.
     """
     xp: Any = np if is_concrete(values) else jnp
-    sizes, smallest = xp.abs(xp.asarray(values)), SMALLEST_ALONE
+    sizes, smallest = xp.abs(xp.asarray(values)), SMALLEST_SCALE
     if arrays is not None and arrays.size:
         # Picked, not scattered: XLA:CPU (jax 0.10) aborts when it compiles the derivative of a scatter that it fuses.
         counts = np.bincount(arrays)
         first = np.cumsum(counts) - counts
         places = first[:, None] + np.minimum(np.arange(counts.max()), counts[:, None] - 1)
         sizes = xp.max(sizes[places], axis=1)[arrays]
-        smallest = np.where(counts > 1, SMALLEST_IN_ARRAY, SMALLEST_ALONE)[arrays]
+        smallest = np.where(counts > 1, SMALLEST_IN_ARRAY, SMALLEST_SCALE)[arrays]
     if xp is jnp:
         sizes = jax.lax.stop_gradient(sizes)
     return xp.where(sizes == 0, 1.0, xp.maximum(sizes, smallest))
