@@ -78,9 +78,9 @@ through impacts, stops and films it is 1e-9 to 4e-6 at usual tolerances."""
 MOST_NUMBERS = 500
 """Numbers of a right-hand side up to which each stage of an explicit step is written by itself, in place of a loop.
 
-The gradient of a dry four-bar takes 42 ms in place of 49, that by the 105 weights of a network 0.18 in place of 0.32,
-and up to a tenth longer to compile. By 1,185 weights it takes 0.71 in place of 0.68: there the sums over stages of
-derivatives by the numbers count, which a loop keeps in one place."""
+The gradient of a dry four-bar takes a sixth less so, that by the 105 weights of a network as long, and a twentieth
+longer to compile. By 1,185 weights it takes a twentieth longer: there the sums over stages of derivatives by the
+numbers count, which a loop keeps in one place."""
 
 ROOM, ROOM_WITH_CONTACT = 1024, 4096
 """Steps of a stretch. All stretches but the last are made twice. A program fills the room with NaN when it begins: with

@@ -52,6 +52,11 @@ and its errors would vanish in the state's absolute tolerance: a derivative of a
 direction that moves such a coordinate was wrong by eight orders of magnitude."""
 
 
+FEW_ARRAYS = 16
+"""So many are taken one by one: a network has few and large ones, of whose entries each would be picked twice, 0.1 ms
+for 4,417 weights. Of many bodies there are thousands of arrays, each an operation to compile."""
+
+
 def scales_of(values: Any, arrays: Int[np.ndarray, " p"] | None = None) -> Any:
     """s_k of each number, shape (p,): the size of the largest in its array, or 1 where all of that are 0.
 
@@ -64,11 +69,15 @@ def scales_of(values: Any, arrays: Int[np.ndarray, " p"] | None = None) -> Any:
     xp: Any = np if is_concrete(values) else jnp
     sizes, smallest = xp.abs(xp.asarray(values)), SMALLEST_SCALE
     if arrays is not None and arrays.size:
-        # Picked, not scattered: XLA:CPU (jax 0.10) aborts when it compiles the derivative of a scatter that it fuses.
         counts = np.bincount(arrays)
         first = np.cumsum(counts) - counts
-        places = first[:, None] + np.minimum(np.arange(counts.max()), counts[:, None] - 1)
-        sizes = xp.max(sizes[places], axis=1)[arrays]
+        if counts.size <= FEW_ARRAYS:
+            parts = [sizes[begin : begin + count] for begin, count in zip(first, counts, strict=True)]
+            sizes = xp.concatenate([xp.broadcast_to(xp.max(part), part.shape) for part in parts if part.size])
+        else:
+            # Picked, not scattered: XLA:CPU (jax 0.10) aborts where it compiles the derivative of a fused scatter.
+            places = first[:, None] + np.minimum(np.arange(counts.max()), counts[:, None] - 1)
+            sizes = xp.max(sizes[places], axis=1)[arrays]
         smallest = np.where(counts > 1, SMALLEST_IN_ARRAY, SMALLEST_SCALE)[arrays]
     if xp is jnp:
         sizes = jax.lax.stop_gradient(sizes)
