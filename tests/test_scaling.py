@@ -187,7 +187,7 @@ def test_a_long_chain_alone_is_on_array_code_and_many_are_not(monkeypatch):
     """Closed loops, whose array code is slower, stay on the scalar program, and so does what is not alone."""
     chain, short, loops = (structure_of(s)[0] for s in (sj.gallery.chain(12), sj.gallery.chain(8), loops_of(25_000)))
     assert path_of(chain).scalar is None
-    assert [path_of(each).alone_on_arrays for each in (chain, short, loops)] == [True, False, False]
+    assert [path_of(structure).alone_on_arrays for structure in (chain, short, loops)] == [True, False, False]
     plan = Plan(chain, (), None)
     alone = compiling.for_one_run(plan, diffrax.Dopri8(), programs.MOST_ROWS_ALONE)
     assert (alone.scalar, alone.is_alone) == (False, True)

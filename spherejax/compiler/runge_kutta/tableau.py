@@ -104,13 +104,13 @@ class Tableau(NamedTuple):
         # From zeros: a sum over a whole row of A then reads stages to come, whose weights are zero, as 0 times 0.
         return jax.lax.fori_loop(0, n if n_made is None else n_made, with_stage, jnp.zeros((n, *y.shape), y.dtype))
 
-    def explicit_stages_in_turn(
+    def unrolled_stages(
         self, rate: Callable[[Array, Array], Array], t: Array, h: Array, y: Array, bend: Array | None
     ) -> list[Array]:
-        """The increments of an explicit step of one run, as `stages` makes them, each written by itself.
+        """The increments of an explicit step of one run, as `stages` returns them, with the loop over stages unrolled.
 
-        Each sum reads the increments that it has weights for, and so its derivative in reverse reaches these alone. In
-        the loop of `stages` that goes through the increments of all stages four times for each of them.
+        Each stage reads the increments with non-zero weights alone. In reverse mode their cotangents are accumulated
+        one by one; in the loop of `stages` each stage passes through the cotangents of all increments.
         """
         k: list[Array] = []
         for row, instant in zip(self.A, self.c, strict=True):

@@ -19,9 +19,8 @@ back. From the same state a stretch takes the same steps to the last bit.
 The steps are those of the method, a Rosenbrock method's with its matrix differentiated (`implicit_rows`); a method that
 is neither explicit nor that is replaced by Rodas5P.
 
-Limits: the errors of the derivatives are controlled along the mixture, not one by one. Where other directions grow by
-themselves, lambda shows it: times the errors that the tolerances allow in a step it is what these change, and the
-gradient of a run that such an error changes altogether is NaN.
+Limits: step-size control sees the errors of the derivatives along the mixture alone. Directions that grow although the
+mixture does not are detected by the error amplification of the adjoint lambda, see `Gradient`.
 """
 
 import warnings
@@ -66,21 +65,21 @@ from spherejax.motion.start.assembly import ideal_numbers, is_assembled_by_array
 from spherejax.physics.forces.remembering import SAME_INSTANT
 from spherejax.program_cache import cached_jit
 
-MOST_DOUBT = 1.0
-"""Share of what is wanted, up to which one step's error may change it. Beyond, neither the run nor its gradient is
-determined by these tolerances, and the gradient is NaN.
+LARGEST_AMPLIFICATION = 1.0
+"""Error amplification up to which a gradient is returned; beyond it the gradient is NaN, see `Gradient`.
 
-The mixture does not see all: the four-bar with Bushing(1e6, 100), whose rates are 7e8 per second, has at an rtol of
-1e-6 steps along which the mixture stays of the size of one, while other directions grow to 1e18. There doubt was 9e3
-where the gradient was wrong by a tenth, 4e14 where it was wrong altogether, and 2e-4 where it was right to 5e-7;
-through impacts, stops and films it is 1e-9 to 4e-6 at usual tolerances."""
+The sensitivity along the mixture stays of the size of one on steps on which the adjoint along other directions grows to
+1e18 (a four-bar with Bushing(1e6, 100), whose rates are 7e8 per second, at an rtol of 1e-6). There the amplification is
+2e14, and the gradient wrong by any factor; it is 4e1 to 9e3 at 1e-7, with errors of 1e-3 to 1e-1 (other samples make
+other steps), and 3e-4 at 1e-8, with an error of 3e-6. Through impacts and films it is below 1e-3 at 1e-6, in proportion
+to rtol (`benchmarks/adjoint_accuracy.py`)."""
 
-MOST_NUMBERS = 500
-"""Numbers of a right-hand side up to which each stage of an explicit step is written by itself, in place of a loop.
+LARGEST_UNROLLED = 500
+"""Numbers of a right-hand side up to which the stages of an explicit step are unrolled.
 
-The gradient of a dry four-bar takes a sixth less so, that by the 105 weights of a network as long, and a twentieth
-longer to compile. By 1,185 weights it takes a twentieth longer: there the sums over stages of derivatives by the
-numbers count, which a loop keeps in one place."""
+An unrolled stage accumulates the cotangents of the stages that it has weights for; in a loop each stage passes through
+the cotangents of all stages, and the gradient of a dry four-bar (167 numbers) takes a sixth longer. Cotangents of the
+numbers are summed in place by a loop, and copied by unrolled stages: with 1,205 numbers the loop is 5 % faster."""
 
 ROOM, ROOM_WITH_CONTACT = 1024, 4096
 """Steps of a stretch. All stretches but the last are made twice. A program fills the room with NaN when it begins: with
@@ -91,10 +90,11 @@ FACTOR_OVER_KINKS = 0.1
 gradient of a ball in a socket of 1e8 N/m is right to 1e-6, with 0.1 to 1e-7."""
 
 FACTOR_ELSEWHERE = 20.0
-"""Errors of the mixture elsewhere, of explicit methods: judged by its own size, it needs less than a row that may be
-small. At an rtol of 1e-8 the gradient of a dry four-bar with friction by 96 numbers, 0.2 s, is right to 4e-8 with 5 and
-20 and to 1e-7 with 50 (at 1e-6 to 3e-6, 3e-6 and 4e-5), and takes a tenth less with 20 than with 5; with five times the
-clearance and 0.3 s to 3e-8, 7e-8 and 7e-8."""
+"""Tolerance of the errors of the mixture, as a multiple of the state's, for explicit methods without kinks: the mixture
+is judged by its own size, which is stricter than the state's tolerance.
+
+With 5, 20 and 50 the gradient of a dry four-bar takes 40, 35 and 34 ms at an rtol of 1e-8, with errors of 4e-8, 4e-8
+and 1e-7 (3e-6, 3e-6 and 4e-5 at 1e-6); with five times the clearance errors are 2e-8, 7e-8 and 7e-8 (`benchmarks/adjoint_accuracy.py`)."""
 
 N_STRETCHES = 4096
 """So many of them, four million steps and more; the gradient of a run with more is NaN."""
@@ -104,24 +104,27 @@ class Gradient(NamedTuple):
     """The derivatives of a number by the traced numbers.
 
     Attributes:
-        slopes: the derivatives; NaN where the run fails, and where it does not determine them.
-        doubt: the most that an error of one step, as large as the tolerances allow, changes the number, as a share of
-            its size; the run determines no derivatives beyond `MOST_DOUBT`.
+        slopes: the derivatives; NaN where the run fails, and where the error amplification is too large.
+        amplification: the error amplification, max over steps of |lambda_n| . (atol + rtol |y_n|), as a share of the
+            size |dg/dy| . (atol/rtol + |y|) of the differentiated number g, summed over its samples. Beyond
+            `LARGEST_AMPLIFICATION` a local error within the tolerances changes g by more than its own size: neither g
+            nor its gradient is determined.
     """
 
     slopes: Float[Array, " p"]
-    doubt: Float[Array, ""]
+    amplification: Float[Array, ""]
 
     def warn(self, stacklevel: int = 2) -> None:
-        """Give a `SimulationWarning` where the derivatives are known not to be determined."""
-        if is_concrete(self.doubt) and float(self.doubt) > MOST_DOUBT:
-            warnings.warn(UNDETERMINED.format(float(self.doubt)), SimulationWarning, stacklevel=stacklevel + 1)
+        """Give a `SimulationWarning` where the amplification is too large, unless a transformation hides it."""
+        if is_concrete(self.amplification) and float(self.amplification) > LARGEST_AMPLIFICATION:
+            message = UNDETERMINED.format(float(self.amplification))
+            warnings.warn(message, SimulationWarning, stacklevel=stacklevel + 1)
 
 
 UNDETERMINED = (
-    "the run does not determine its gradient, which is NaN: an error of one step, as large as rtol allows, changes "
-    "what is differentiated by {:.2g} times its size. Tighten rtol, shorten the run, or change what makes the motion "
-    "so sensitive (a damping time of a bushing that is far longer than the run, chaotic motion)"
+    "the gradient is NaN, because the run is too sensitive for its tolerances: a local error of one step, as large as "
+    "rtol allows, changes the differentiated value by {:.2g} times its size. Tighten rtol or shorten the run. Causes "
+    "are chaotic motion, and dampers whose damping time is far longer than the run"
 )
 
 
@@ -132,29 +135,29 @@ class _Sweep(NamedTuple):
         by_state: lambda, the derivatives by the state at the end of the coming step.
         by_numbers: those by the parameters of the right-hand side.
         sample: index of the last sample whose derivatives have not been added.
-        scale: how much what is wanted changes where its samples change by their own size.
-        doubt: the most that an error of a step, as large as the tolerances allow, changes it, as a share of that.
+        scale: size of the differentiated number, see `Gradient`.
+        amplification: error amplification over the steps so far, see `Gradient`.
     """
 
     by_state: Float[Array, " size"]
     by_numbers: Any
     sample: Int[Array, ""]
     scale: Float[Array, ""]
-    doubt: Float[Array, ""]
+    amplification: Float[Array, ""]
 
 
 class _Tolerances(NamedTuple):
-    """Of the entries of a state: relative and absolute. Of a controller that has none, zeros."""
+    """Relative and absolute tolerances of the entries of a state; zeros where the step-size controller has none."""
 
     rtol: Float[Array, " size"]
     atol: Float[Array, " size"]
 
     def errors(self, y):
-        """What they allow in a step."""
+        """The largest local errors within the tolerances."""
         return self.atol + self.rtol * jnp.abs(y)
 
     def sizes(self, y):
-        """How large a state counts: where it is small, by what its absolute tolerance is a share of."""
+        """Sizes of the entries of a state, with a floor of atol/rtol."""
         is_relative = self.rtol > 0
         return jnp.where(is_relative, self.atol / jnp.where(is_relative, self.rtol, 1.0), 0.0) + jnp.abs(y)
 
@@ -226,9 +229,9 @@ def gradient_of(plan: Plan, method: RunMethod, inputs: RunInputs, directions, by
         scale = plan.scales(inputs.values)
         return jnp.linalg.pinv(directions / scale) @ jnp.einsum("kns,ns->k", rows.slopes, by_ys) / scale
     along = jnp.asarray(mixture_of(directions.shape[0])[0]) @ directions
-    found = pulled_back(plan, method.with_solver(with_steps_back(method.solver)), inputs, by_ys, None, along)
-    found.warn()
-    return found.slopes
+    gradient = pulled_back(plan, method.with_solver(with_steps_back(method.solver)), inputs, by_ys, None, along)
+    gradient.warn()
+    return gradient.slopes
 
 
 def _pulled_back(plan: Plan, method: RunMethod, inputs: RunInputs, by_ys, by_assembly, along) -> Gradient:
@@ -270,9 +273,10 @@ def _pulled_back(plan: Plan, method: RunMethod, inputs: RunInputs, by_ys, by_ass
     by_start = swept.sweep.by_state + jnp.sum(jnp.where(is_first, by_ys, 0.0), axis=0)
 
     at_start = _start_back(plan, inputs, by_assembly, by_start)
-    doubt = jnp.where(swept.is_sound, swept.sweep.doubt, 0.0)
+    amplification = jnp.where(swept.is_sound, swept.sweep.amplification, 0.0)
+    is_determined = swept.is_sound & (amplification <= LARGEST_AMPLIFICATION)
     slopes = to_values(swept.sweep.by_numbers)[0] + at_start
-    return Gradient(jnp.where(swept.is_sound & (doubt <= MOST_DOUBT), slopes, jnp.nan), doubt)
+    return Gradient(jnp.where(is_determined, slopes, jnp.nan), amplification)
 
 
 def _start_back(plan: Plan, inputs: RunInputs, by_assembly: Any, by_state: Float[Array, " size"]) -> Float[Array, " p"]:
@@ -338,7 +342,7 @@ class _StepsBack:
 
     def __init__(self, plan: Plan, method: RunMethod, rate: Program, parameters: Parameters, ts, by_ys):
         self.parameters, self.ts, self.by_ys = parameters, ts, by_ys
-        # Sizes of the derivatives by the samples, summed up to each.
+        # Cumulative sums of |dg/dy| over the samples: the sum over the samples of one step is a difference of two.
         self.weights = jnp.pad(jnp.cumsum(jnp.abs(by_ys), axis=0), ((1, 0), (0, 0)))
         self.rate = lambda t, y, parameters: rate.inside(parameters.theta, parameters.ahead, t, y)
         self.correct, self.event = correction_for(plan), event_of(plan, rate)
@@ -351,7 +355,7 @@ class _StepsBack:
         self.is_explicit, self.is_native = is_explicit(solver), in_machine_code(plan)
         controller = method.controller(plan.structure)
         self.tolerances = _Tolerances(*(jnp.asarray(getattr(controller, name, 0.0)) for name in ("rtol", "atol")))
-        self.writes_stages = sum(leaf.size for leaf in jax.tree.leaves(parameters)) <= MOST_NUMBERS
+        self.unrolls_stages = sum(leaf.size for leaf in jax.tree.leaves(parameters)) <= LARGEST_UNROLLED
         if self.is_explicit:
             self.tableau = explicit_tableau(solver.tableau, len(solver.tableau.b_sol), [solver.tableau.b_sol])
         else:
@@ -431,9 +435,9 @@ class _StepsBack:
         more, by_state = back((by_end, by_inside))
         added = self.weights[sweep.sample + 1] - self.weights[i + 1]
         scale = sweep.scale + added @ self.tolerances.sizes(y_next)
-        doubt = jnp.abs(by_state) @ self.tolerances.errors(y) / jnp.where(scale > 0, scale, 1.0)
-        by_numbers = jax.tree.map(jnp.add, by_numbers, more)
-        return _Sweep(by_state, by_numbers, i, scale, jnp.maximum(sweep.doubt, doubt))
+        amplification = jnp.abs(by_state) @ self.tolerances.errors(y) / jnp.where(scale > 0, scale, 1.0)
+        amplification = jnp.maximum(sweep.amplification, amplification)
+        return _Sweep(by_state, jax.tree.map(jnp.add, by_numbers, more), i, scale, amplification)
 
     def _made(self, parameters, t, size, y, bend) -> tuple[Array, dict[str, Any]]:
         """The end of a step, before what happens there, and what states inside it are made from."""
@@ -442,8 +446,8 @@ class _StepsBack:
             def rate(t, y):
                 return self.rate(t, y, parameters)
 
-            if self.writes_stages:
-                k = self.tableau.explicit_stages_in_turn(rate, t, size, y, bend)
+            if self.unrolls_stages:
+                k = self.tableau.unrolled_stages(rate, t, size, y, bend)
             else:
                 k = self.tableau.stages(rate, t, size, size, y, bend=bend)
             end = y + self.tableau.sums_of(k)[0]

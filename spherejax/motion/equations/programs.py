@@ -49,8 +49,9 @@ SMALLEST_ALONE, ALIKE = 14_000, 8
 """A single run is on array code from so many scalar operations on, and from so many joints of each kind: the text of
 array code grows with the kinds, and not with the joints.
 
-A chain of 12 bodies has so many. One of 15 takes 3.4 s of processor time at its first call in place of 5.0, a gradient
-by one mass 9.0 in place of 17.9; a run then takes 12 ms in place of 13, and a gradient 33 in place of 24."""
+A chain of 12 bodies has so many. With 20 bodies the first call of a run takes 3 s of processor time on array code and 6
+on the scalar program, that of a gradient by one mass 8 and 25; a run then takes 14 and 15 ms, a gradient 37 and 28
+(`benchmarks/first_calls_of_chains.py --both`)."""
 
 MOST_ROWS_ALONE = 8
 """Derivatives by so many numbers of a single run are on array code with it, which takes one after the other."""

@@ -117,7 +117,7 @@ class Plan:
 
     @cached_property
     def _arrays(self) -> Int[np.ndarray, " n_unknown"]:
-        """Which array of the system each traced number belongs to."""
+        """Indices of the arrays that the traced numbers belong to, ascending from 0."""
         leaves = np.searchsorted(self.structure.starts, self.unknown, side="right")
         return np.unique(leaves, return_inverse=True)[1]
 

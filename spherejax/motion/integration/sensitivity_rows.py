@@ -45,26 +45,26 @@ from spherejax.motion.integration.unseen import Unseen
 from spherejax.motion.solvers.landing import ContactFunctions
 
 SMALLEST_IN_ARRAY, SMALLEST_SCALE = 1e-6, 1e-9
-"""Scales of numbers are no less, of those in arrays and of those by themselves.
+"""Lower bounds of scales: of numbers in arrays, and of numbers by themselves.
 
-A sensitivity by a coordinate of 1e-17 m, which is zero but for rounding, would be as small in units of that coordinate,
-and its errors would vanish in the state's absolute tolerance: a derivative of a four-bar with a stiff bushing along a
-direction that moves such a coordinate was wrong by eight orders of magnitude."""
-
+A coordinate of 1e-17 m is zero but for rounding. Scaled by its own size, its sensitivity is 1e-17 times the state, and
+its errors vanish in the state's absolute tolerance: step-size control no longer sees them."""
 
 FEW_ARRAYS = 16
-"""So many are taken one by one: a network has few and large ones, of whose entries each would be picked twice, 0.1 ms
-for 4,417 weights. Of many bodies there are thousands of arrays, each an operation to compile."""
+"""Number of arrays up to which each is reduced by an operation of its own.
+
+A gather over all arrays takes 0.1 ms for the 4,417 weights of a network, which are few and large arrays. A scene of
+many bodies has thousands of arrays, and one operation for each would be slow to compile."""
 
 
 def scales_of(values: Any, arrays: Int[np.ndarray, " p"] | None = None) -> Any:
-    """s_k of each number, shape (p,): the size of the largest in its array, or 1 where all of that are 0.
+    """Scales s_k of the numbers, shape (p,): the largest magnitude in the array of each; 1 where all of it are 0.
 
-    By NumPy where they are known, for each operation alone would be a program of JAX's.
+    Known numbers are evaluated by NumPy: each operation outside of `jax.jit` would be a program of JAX's.
 
     Args:
         values: the numbers.
-        arrays: which array each belongs to, whole numbers from 0 on, in order; None where each is by itself.
+        arrays: index of the array that each number belongs to, ascending from 0; None: each is an array by itself.
     """
     xp: Any = np if is_concrete(values) else jnp
     sizes, smallest = xp.abs(xp.asarray(values)), SMALLEST_SCALE

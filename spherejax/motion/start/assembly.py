@@ -94,12 +94,12 @@ def assemble(structure: Structure, theta: Numeric, t: Scalar | float = 0.0) -> A
 def _programs_of_start(structure: Structure) -> list[Program]:
     """A Newton step, the projection of the velocities and the residuals, all of them scalar or none."""
     functions = (newton_step, consistent_velocities, assembly_residuals)
-    programs = [program_for(each, structure, largest=LARGEST_OF_START) for each in functions]
+    programs = [program_for(function, structure, largest=LARGEST_OF_START) for function in functions]
     if all(program.scalar is not None for program in programs):
         return programs
     # One that is small enough would be numbers among arrays: of 50 bodies thousands, one by one, and with their
     # derivatives XLA takes 20 s for these alone.
-    return [program_for(each, structure, False) for each in functions]
+    return [program_for(function, structure, False) for function in functions]
 
 
 def is_assembled_by_arrays(structure: Structure) -> bool:

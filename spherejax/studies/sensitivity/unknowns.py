@@ -36,7 +36,7 @@ class Unknowns:
         return tuple(found)
 
     def scales(self, numbers) -> Any:
-        """What derivatives by all numbers, in order, are multiplied by while they are integrated: see `scales_of`."""
+        """Scales of the sensitivities by all numbers, in their order, see `scales_of`."""
         return scales_of(
             numbers, np.repeat(np.arange(len(self.shapes)), [math.prod(shape) for _, shape in self.shapes])
         )
