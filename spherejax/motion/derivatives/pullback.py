@@ -94,7 +94,8 @@ FACTOR_ELSEWHERE = 20.0
 is judged by its own size, which is stricter than the state's tolerance.
 
 With 5, 20 and 50 the gradient of a dry four-bar takes 40, 35 and 34 ms at an rtol of 1e-8, with errors of 4e-8, 4e-8
-and 1e-7 (3e-6, 3e-6 and 4e-5 at 1e-6); with five times the clearance errors are 2e-8, 7e-8 and 7e-8 (`benchmarks/adjoint_accuracy.py`)."""
+and 1e-7 (3e-6, 3e-6 and 4e-5 at 1e-6); with five times the clearance errors are 2e-8, 7e-8 and 7e-8
+(`benchmarks/adjoint_accuracy.py`)."""
 
 N_STRETCHES = 4096
 """So many of them, four million steps and more; the gradient of a run with more is NaN."""
