@@ -13,10 +13,11 @@ import numpy as np
 from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float
 
-from spherejax.foundations.checks import is_concrete
+from spherejax.foundations.checks import is_concrete, is_tracing
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.types import Flag
 from spherejax.model.system import example_of
+from spherejax.motion.derivatives.known_jacobians import primal_alone, times_jacobians, with_derivatives
 from spherejax.motion.derivatives.linear_operation import LinearMap, linear_operation
 from spherejax.motion.derivatives.pullback import can_go_back, pulled_back, with_steps_back
 from spherejax.motion.derivatives.through_touches import any_jump, warn_of_rosenbrock
@@ -49,72 +50,11 @@ def integrate_with_sensitivities(
     """
     if not plan.unknown and not plan.from_state and is_concrete(inputs.ts):
         return run_of(plan, method, inputs)
+    numbers = _numbers_behind(method, inputs)
+    if numbers is not None:
+        return _with_known_derivatives(plan, method, inputs.values, numbers, abrupt)
     # Tolerances may be traced: a rule may not close over them.
     arrays, others = eqx.partition(method, eqx.is_array)
-
-    def slopes_by(by_start: bool) -> Callable:
-        """The run and its slopes, by the first sample time behind the numbers where `by_start`."""
-
-        @jax.custom_jvp
-        def with_slopes(inputs: RunInputs, arrays: Any) -> tuple[Outcome, Slopes]:
-            scale = with_start_time(plan.scales(inputs.values), by_start)
-            run = run_and_slopes(plan, eqx.combine(arrays, others), inputs, _diagonal(scale), by_start)
-            return run.outcome, Slopes(*_unscaled((run.slopes, run.assembly_slopes), scale))
-
-        def with_slopes_jvp(primals, tangents):
-            inputs, moved = primals[0], tangents[0]
-            if by_start or _is_moved(moved.ts):
-                raise SceneError(NO_SECOND_BY_TIME)
-            method = eqx.combine(primals[1], others).decided
-            example = example_of(plan.structure)
-            if example.touching_forces or (example.contact_joints and isinstance(method.rest, diffrax.AbstractERK)):
-                raise SceneError(NO_SECOND_DERIVATIVES)
-            _refuse_large(plan)
-            first = with_slopes(*primals)
-
-            def floats(values):
-                return eqx.filter(_differentiable(plan, method, inputs._replace(values=values)), _is_float)
-
-            # All of them, then those along the tangent: that can be transposed, which a loop cannot.
-            second = jax.jacfwd(floats)(inputs.values)
-            along = _instantiated(moved.values, inputs.values)
-            # A film may never be pressed through; where it is, they would miss what happens there.
-            along = jnp.where(_has_contact(plan, first[0]), jnp.nan, along)
-            return first, jax.tree.map(
-                lambda value, slopes: _no_tangent(value) if slopes is None else slopes @ along, first, second
-            )
-
-        with_slopes.defjvp(with_slopes_jvp, symbolic_zeros=True)
-        return with_slopes
-
-    def along_one_direction(outcome: Outcome, primals, tangent) -> Any:
-        """The derivatives of samples and start along a tangent, whose transpose goes back along the run's steps."""
-        residuals, tree = jax.tree.flatten((primals, outcome.status == Status.SUCCEEDED))
-
-        def forward(leaves, x):
-            (inputs, arrays), _ = jax.tree.unflatten(tree, leaves)
-            # Errors of sensitivities are judged in the units of the state: the tangent is as large as the numbers.
-            size = jnp.max(jnp.abs(x[0] / plan.scales(inputs.values)))
-            size = jnp.where(size > 0, size, 1.0)
-            one = run_and_slopes(plan, eqx.combine(arrays, others), inputs, (x[0] / size)[None])
-            return jax.tree.leaves(jax.tree.map(lambda leaf: leaf[0] * size, (one.slopes, one.assembly_slopes)))
-
-        def backward(leaves, y):
-            (inputs, arrays), has_succeeded = jax.tree.unflatten(tree, leaves)
-            method = eqx.combine(arrays, others)
-            back = method.with_solver(with_steps_back(method.solver))
-            gradient = pulled_back(plan, back, inputs, *jax.tree.unflatten(image, y))
-            gradient.warn()
-            return [jnp.where(has_succeeded, gradient.slopes, jnp.nan)]
-
-        def differentiable(leaves, x):
-            _, jacobian = slopes_by(False)(*jax.tree.unflatten(tree, leaves)[0])
-            return jax.tree.leaves(_along(jacobian, x[0]))
-
-        forms, image = jax.tree.flatten((outcome.ys, outcome.assembly))
-        inputs, outputs = (_shapes_of(arrays) for arrays in ([tangent], forms))
-        linear = LinearMap(forward, backward, differentiable, inputs, outputs)
-        return jax.tree.unflatten(image, linear_operation(linear, residuals, [tangent]))
 
     @jax.custom_jvp
     def run(inputs: RunInputs, arrays: Any) -> Outcome:
@@ -134,9 +74,9 @@ def integrate_with_sensitivities(
             along = _instantiated(moved.values, values)
             if _goes_back(plan) and not by_start:
                 outcome = run(*primals)
-                ys_dot, assembly = along_one_direction(outcome, primals, along)
+                ys_dot, assembly = _along_one_direction(plan, others, primals, outcome)(along)
             else:
-                outcome, jacobian = slopes_by(by_start)(*primals)
+                outcome, jacobian = _run_and_jacobians(plan, others, by_start)(*primals)
                 if by_start:
                     along = jnp.append(along, moved.ts[0])
                 ys_dot, assembly = _along(jacobian, along)
@@ -158,6 +98,136 @@ def integrate_with_sensitivities(
 
     run.defjvp(run_jvp, symbolic_zeros=True)
     return run(inputs, jax.lax.stop_gradient(arrays))
+
+
+def _run_and_jacobians(plan: Plan, others: Any, by_start: bool = False) -> Callable[[RunInputs, Any], tuple]:
+    """The run and its slopes, by the first sample time behind the numbers where `by_start`.
+
+    Args:
+        plan: as of `run_of`.
+        others: the method without its arrays, which are an argument of the function that is returned.
+        by_start: whether there are slopes by the first sample time.
+    """
+
+    @jax.custom_jvp
+    def with_slopes(inputs: RunInputs, arrays: Any) -> tuple[Outcome, Slopes]:
+        scale = with_start_time(plan.scales(inputs.values), by_start)
+        run = run_and_slopes(plan, eqx.combine(arrays, others), inputs, _diagonal(scale), by_start)
+        return run.outcome, Slopes(*_unscaled((run.slopes, run.assembly_slopes), scale))
+
+    def with_slopes_jvp(primals, tangents):
+        inputs, moved = primals[0], tangents[0]
+        if by_start or _is_moved(moved.ts):
+            raise SceneError(NO_SECOND_BY_TIME)
+        method = eqx.combine(primals[1], others).decided
+        example = example_of(plan.structure)
+        if example.touching_forces or (example.contact_joints and isinstance(method.rest, diffrax.AbstractERK)):
+            raise SceneError(NO_SECOND_DERIVATIVES)
+        _refuse_large(plan)
+        first = with_slopes(*primals)
+
+        def floats(values):
+            return eqx.filter(_differentiable(plan, method, inputs._replace(values=values)), _is_float)
+
+        # All of them, then those along the tangent: that can be transposed, which a loop cannot.
+        second = jax.jacfwd(floats)(inputs.values)
+        along = _instantiated(moved.values, inputs.values)
+        # A film may never be pressed through; where it is, they would miss what happens there.
+        along = jnp.where(_has_contact(plan, first[0]), jnp.nan, along)
+        return first, jax.tree.map(
+            lambda value, slopes: _no_tangent(value) if slopes is None else slopes @ along, first, second
+        )
+
+    with_slopes.defjvp(with_slopes_jvp, symbolic_zeros=True)
+    return with_slopes
+
+
+def _along_one_direction(
+    plan: Plan, others: Any, primals: tuple[RunInputs, Any], outcome: Outcome
+) -> Callable[[Array], tuple[Any, Assembly]]:
+    """The derivatives of samples and start along a tangent, whose transpose goes back along the run's steps."""
+    residuals, tree = jax.tree.flatten((primals, outcome.status == Status.SUCCEEDED))
+    image: Any = jax.tree.structure((outcome.ys, outcome.assembly))
+
+    def forward(leaves, x):
+        (inputs, arrays), _ = jax.tree.unflatten(tree, leaves)
+        # Errors of sensitivities are judged in the units of the state: the tangent is as large as the numbers.
+        size = jnp.max(jnp.abs(x[0] / plan.scales(inputs.values)))
+        size = jnp.where(size > 0, size, 1.0)
+        one = run_and_slopes(plan, eqx.combine(arrays, others), inputs, (x[0] / size)[None])
+        return jax.tree.leaves(jax.tree.map(lambda leaf: leaf[0] * size, (one.slopes, one.assembly_slopes)))
+
+    def backward(leaves, y):
+        (inputs, arrays), has_succeeded = jax.tree.unflatten(tree, leaves)
+        method = eqx.combine(arrays, others)
+        back = method.with_solver(with_steps_back(method.solver))
+        gradient = pulled_back(plan, back, inputs, *jax.tree.unflatten(image, y))
+        gradient.warn()
+        return [jnp.where(has_succeeded, gradient.slopes, jnp.nan)]
+
+    def differentiable(leaves, x):
+        _, jacobian = _run_and_jacobians(plan, others)(*jax.tree.unflatten(tree, leaves)[0])
+        return jax.tree.leaves(_along(jacobian, x[0]))
+
+    def along(tangent: Array) -> tuple[Any, Assembly]:
+        inputs, outputs = _shapes_of([tangent]), _shapes_of(jax.tree.leaves((outcome.ys, outcome.assembly)))
+        linear = LinearMap(forward, backward, differentiable, inputs, outputs)
+        return jax.tree.unflatten(image, linear_operation(linear, residuals, [tangent]))
+
+    return along
+
+
+def _numbers_behind(method: RunMethod, inputs: RunInputs) -> RunInputs | None:
+    """The inputs with numbers in place of the traced ones, where one `jax.jvp` or `jax.grad` has nothing else traced;
+    None within `jax.jit`, `jax.vmap` and a second derivative."""
+    values = primal_alone(inputs.values)
+    if values is None or is_tracing():
+        return None
+    numbers = inputs._replace(values=values)
+    return numbers if all(map(is_concrete, jax.tree.leaves((method, numbers)))) else None
+
+
+def _with_known_derivatives(
+    plan: Plan, method: RunMethod, values: Any, numbers: RunInputs, abrupt: tuple[str, ...]
+) -> Outcome:
+    """The outcome of a run whose derivatives are computed with it, by the numbers behind what the caller traces.
+
+    Args:
+        plan, method, abrupt: as of `integrate_with_sensitivities`.
+        values: what the caller traces.
+        numbers: of the run.
+    """
+    has_touches = bool(example_of(plan.structure).touching_forces)
+    if has_touches:  # an error where a force jumps at its touch; all numbers are known
+        any_jump(plan.structure.system(plan.theta_of(numbers)))
+    warn_of_rosenbrock(abrupt, method.solver)
+    if _goes_back(plan):
+        outcome = run_of(plan, method, numbers)
+        arrays, others = eqx.partition(method, eqx.is_array)
+        along_all = _along_one_direction(plan, others, (numbers, arrays), outcome)
+        has_succeeded = int(outcome.status) == Status.SUCCEEDED
+
+        def along(tangent: Array) -> list:
+            ys_dot, assembly = along_all(tangent)
+            return [ys_dot, ys_dot[-1] if has_succeeded else jnp.full_like(ys_dot[-1], jnp.nan), *assembly]
+
+    else:
+        scale = plan.scales(numbers.values)
+        run = run_and_slopes(plan, method, numbers, _diagonal(scale))
+        outcome = run.outcome
+        ys, assembly = _unscaled((run.slopes, run.assembly_slopes), scale)
+        has_succeeded = int(outcome.status) == Status.SUCCEEDED
+        jacobians = [ys, ys[-1] if has_succeeded else np.full_like(ys[-1], np.nan), *assembly]
+
+        def along(tangent: Array) -> list:
+            return times_jacobians(tangent, *jacobians)
+
+    results = [outcome.ys, outcome.y_reached, *outcome.assembly]
+    ys, y_reached, *assembly = with_derivatives(values, results, along)
+    t_reached = outcome.t_reached
+    if not has_succeeded:
+        (t_reached,) = with_derivatives(values, [t_reached], lambda tangent: [jnp.nan * jnp.sum(tangent)])
+    return Outcome(ys, t_reached, y_reached, outcome.status, outcome.stats, Assembly(*assembly))
 
 
 MANY = 32
