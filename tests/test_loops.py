@@ -7,6 +7,7 @@ import pytest
 from jax.extend import core as jex
 
 import spherejax as sj
+from spherejax.compiler import uninitialized
 from spherejax.compiler.emit.llvm_arrays import LARGE, NotWrittenError
 from spherejax.compiler.native import compile as machine_code
 from spherejax.compiler.native import loop_fusion, loops
@@ -293,6 +294,28 @@ def reading_late(y, n):
     return [*jax.lax.while_loop(lambda s: s[0] < n, turn, begin)]
 
 
+def reading_the_begin(y, n):
+    """A large array that a loop begins with, and that is read behind the loop as it was."""
+    begin = jnp.outer(jnp.arange(LARGE // 8 + 1.0), y)
+    i, rows = jax.lax.while_loop(
+        lambda s: s[0] < n, lambda s: (s[0] + 1, s[1].at[s[0]].set(y)), (jnp.asarray(0), begin)
+    )
+    return [i, rows, begin, begin + rows]
+
+
+def of_large_arrays(y, n):
+    """Sums and products of arrays that are larger than those which loops change in place as a rule."""
+    many = jnp.outer(jnp.linspace(0.0, 1.0, LARGE // 4), y).ravel()
+
+    def turn(state):
+        i, sums, rows = state
+        sums = jnp.where(sums > 1.0, 0.5 * sums, sums + many * jnp.sin(1.0 * i))
+        return i + 1, sums, rows.at[i].set(sums[-y.size :])
+
+    begin = jnp.asarray(0), jnp.zeros_like(many), jnp.zeros((LARGE, y.size))
+    return [*jax.lax.while_loop(lambda s: s[0] < n, turn, begin)]
+
+
 @pytest.fixture
 def loops_call(monkeypatch):
     """Any loop counts as one that calls machine code; others are left alone before anybody looks at them."""
@@ -325,6 +348,25 @@ def test_large_arrays_are_changed_in_place_or_not_at_all(left_to_xla):
         found, said = left_to_xla(function, *given)
         assert_same(found, jax.jit(function)(*given))
         assert "left to XLA: a large array that is read after it was changed" in said
+
+
+@pytest.mark.parametrize("function", [reading_the_begin, of_large_arrays])
+def test_large_arrays_are_those_of_xla(function):
+    given = jnp.linspace(0.3, 1.7, 8), jnp.asarray(12)
+    assert_same(in_machine_code(function, *given), jax.jit(function)(*given))
+
+
+def test_a_loop_writes_into_an_array_that_nobody_has_filled():
+    def rows_of(y):
+        rows = uninitialized((LARGE, y.size))
+        rows = jax.lax.fori_loop(0, LARGE, lambda i, rows: rows.at[i].set(i * y), rows)
+        return rows, uninitialized((LARGE, y.size)).at[:].set(y)
+
+    y = jnp.array([0.5, -2.0])
+    expected = np.arange(LARGE)[:, None] * np.asarray(y), np.broadcast_to(y, (LARGE, 2))
+    for made in (jax.jit(rows_of)(y), jax.vmap(rows_of)(y[None]), rows_of(y)):
+        for found, right in zip(made, expected, strict=True):
+            np.testing.assert_array_equal(found.reshape(right.shape), right)
 
 
 def test_what_has_no_rule_is_left_to_xla(left_to_xla):

@@ -191,6 +191,28 @@ def test_derivatives_cost_what_they_must():
     assert [name for name, follows in zip(names, by_time.follows, strict=True) if follows] == ["one"]
 
 
+def test_coefficients_that_are_arguments_are_read_from_them(made):
+    """Those of a product of a matrix with a vector are its numbers: in machine code nothing is copied."""
+
+    def product(numbers, x):
+        return jnp.sin(numbers.reshape(12, 12) @ x)
+
+    numbers, x = jnp.linspace(-1.0, 1.0, 144), jnp.linspace(0.2, 0.7, 12)
+    tangents = jnp.cos(numbers), jnp.sin(9.0 * x)
+    program = scalarize(product, numbers, x)
+    if made == "machine code":
+        line = program.line_called()
+        copied, read = (line.derivative((True, True), reads) for reads in (False, True))
+        assert [copied.read, read.read, line.derivative((False, True), True).read] == [(), (0, 1), (0,)]
+        n_values = [sum(output.size for output in each.values.outputs) for each in (copied, read)]
+        assert n_values == [12 + 12 + 144 + 12, 12 + 12]  # the results, and slopes of the sine
+    same(jax.jvp(program, (numbers, x), tangents)[1], jax.jvp(product, (numbers, x), tangents)[1])
+    same(jax.vjp(program, numbers, x)[1](x), jax.vjp(product, numbers, x)[1](x))
+    many = jnp.stack([x, -x, 2.0 * x])
+    gradients = (jax.grad(lambda n, y, of=of: jnp.sum(of(n, y) ** 2), (0, 1)) for of in (program, product))
+    same(*(jax.vmap(of_one, (None, 0))(numbers, many) for of_one in gradients), rtol=1e-12)
+
+
 @pytest.mark.parametrize("moving", [(0,), (1,), (0, 1)])
 def test_of_an_argument_some_entries_may_move(moving):
     """What the others would add costs nothing, ahead of a loop and inside it."""

@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from spherejax.compiler.graph import NotScalarizable
     from spherejax.compiler.native.array_programs import ArrayProgram
     from spherejax.compiler.native.switch import native_code
+    from spherejax.compiler.native.uninitialized import uninitialized
     from spherejax.compiler.program import ScalarProgram, scalarize
 
 # A name is imported when it is first asked for: `hooks` is needed when the host package is imported, which must not
@@ -24,11 +25,12 @@ _PLACES = {
     "native_code": ".native.switch",
     "runge_kutta": ".runge_kutta",
     "scalarize": ".program",
+    "uninitialized": ".native.uninitialized",
 }
 
 __all__ = [
     "ArrayProgram", "NotScalarizable", "ScalarProgram", "hooks", "linear_algebra", "native_code",
-    "runge_kutta", "scalarize",
+    "runge_kutta", "scalarize", "uninitialized",
 ]  # fmt: skip
 
 

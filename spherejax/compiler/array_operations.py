@@ -16,7 +16,6 @@ import jax
 import numpy as np
 
 from spherejax.compiler.emit.llvm_arrays import (
-    LARGE,
     LARGEST_WRITTEN_OUT,
     ArrayText,
     NotWrittenError,
@@ -274,7 +273,7 @@ def _dynamic_slice(text, values, parameters, avals):
 
 def _to_be_changed(text: ArrayText, value: Value) -> Value:
     """An array to write into: a copy, or where it is large the array itself."""
-    if value.size >= LARGE:
+    if value.size >= text.large:
         return text.changed(value)  # a copy in each turn would cost more than the turn
     target = text.array(value.shape, value.kind)
     text.copy(value, target)

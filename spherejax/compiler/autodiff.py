@@ -32,6 +32,7 @@ class Forward:
         nodes: Sequence[int],
         tangents: Mapping[int, tuple[int, int]],
         inactive: Collection[int] = (),
+        read_from: Mapping[int, tuple[int, int]] | None = None,
     ):
         """Make the derivative.
 
@@ -42,7 +43,9 @@ class Forward:
 
         Other args:
             inactive: nodes whose values are arguments; they do not move with what they depend on.
+            read_from: for nodes that are entries of arguments, inputs of `slopes` that are the same entries.
         """
+        self._read_from = read_from or {}
         self.values, self.slopes = graph.copy(), Graph()
         self.residuals: dict[int, int] = {}
         self._of: dict[int, int] = {node: self.slopes.input(place) for node, place in tangents.items()}
@@ -112,6 +115,8 @@ class Forward:
         """The node of `slopes` that stands for a node of `values`."""
         if self.values.is_constant(node):  # it folds in the linear program as well
             return self.slopes.constant(self.values.value(node), self.values.dtypes[node])
+        if node in self._read_from:
+            return self.slopes.input(self._read_from[node])
         if node not in self.residuals:
             self.residuals[node] = self.slopes.node("residual", (), self.values.dtypes[node], node)
         return self.residuals[node]

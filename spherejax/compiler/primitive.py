@@ -10,7 +10,7 @@ the mappings; a set of axes is an integer with a bit for each.
 """
 
 import itertools
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from functools import cached_property, partial, reduce
 from operator import or_
 from typing import Any, NamedTuple
@@ -61,7 +61,7 @@ class StraightLine:
         # Made at the first use and kept with the line: JAX asks for shapes, lanes and derivatives again and again.
         self._spread: dict = {}
         self._jitted: dict = {}
-        self._derivatives: dict[tuple[ActiveInputs, ...], Derivative] = {}
+        self._derivatives: dict[tuple[tuple[ActiveInputs, ...], bool], Derivative] = {}
         self._transposes: dict[tuple[tuple[bool, ...], tuple[bool, ...]], StraightLine] = {}
 
     def __call__(self, *arguments: Array) -> list[Array]:
@@ -152,23 +152,28 @@ class StraightLine:
             function = jax.vmap(function, tuple(inwards), outwards)
         return function
 
-    def derivative(self, moves: tuple["ActiveInputs", ...]) -> "Derivative":
-        """Along tangents of the arguments that move, all of their entries or some."""
-        if moves not in self._derivatives:
-            self._derivatives[moves] = self._derived(moves)
-        return self._derivatives[moves]
+    def derivative(self, moves: tuple["ActiveInputs", ...], reads_arguments: bool = False) -> "Derivative":
+        """Along tangents of the arguments that move, all of their entries or some.
 
-    def _derived(self, moves: tuple["ActiveInputs", ...]) -> "Derivative":
+        With `reads_arguments` coefficients that are entries of arguments are read from these, and not copied: half of
+        the time of a product of a matrix with a vector. Only in machine code, where an argument is a pointer.
+        """
+        key = moves, reads_arguments and self.in_machine_code
+        if key not in self._derivatives:
+            self._derivatives[key] = self._derived(*key)
+        return self._derivatives[key]
+
+    def _derived(self, moves: tuple["ActiveInputs", ...], reads_arguments: bool) -> "Derivative":
         entries = self._entries(moves, self._with_slopes)
         moving = [
             nodes if some is True else [nodes[entry] for entry in some]
             for nodes, some in zip(entries, moves, strict=True)
             if some
         ]
-        tangents = {
-            node: (i, place) for i, nodes in enumerate(moving) for place, node in enumerate(nodes) if node is not None
-        }
-        forward = Forward(self.graph, self._with_slopes, tangents, frozenset(self.flat_residuals))
+        # The arguments of the line stand behind the tangents among the inputs of the derivative.
+        of_values = [self._is_read(i) for i in range(len(moves))] if reads_arguments else [False] * len(moves)
+        read_from = _places(self._entries(of_values, self._with_slopes), len(moving))
+        forward = Forward(self.graph, self._with_slopes, _places(moving), frozenset(self.flat_residuals), read_from)
         # An output of which some entries move is returned whole, with zeros for the others.
         zero = forward.slopes.constant(0, FLOAT)
         derivatives = [[forward.of(int(node)) for node in output.ravel()] for output in self.outputs]
@@ -178,21 +183,29 @@ class StraightLine:
             for output, of_output, has_some in zip(self.outputs, derivatives, follows, strict=True)
             if has_some
         ]
-        # A coefficient whose products all folded away is not handed over.
+        # A coefficient whose products all folded away is not handed over, and an argument that has none is not read.
         needed = set(forward.needed([int(node) for output in slopes for node in output.ravel()]))
         residuals = {node: name for node, name in forward.residuals.items() if name in needed}
         coefficients = grouped([*residuals], forward.values, self.in_machine_code)
         names = [np.array([residuals[int(node)] for node in c.ravel()]).reshape(c.shape) for c in coefficients]
         values = [*self.outputs, *coefficients]
+        graph, read = _with_arguments_in_turn(forward.slopes, needed, len(moving))
         # Of an argument of which some entries move, the tangent is the vector of these alone.
         shapes = [
             shape if some is True else (len(some),) for shape, some in zip(self._all_shapes, moves, strict=True) if some
         ]
+        shapes += [self._all_shapes[i] for i in read]
         return Derivative(
             StraightLine(forward.values, values, self.shapes, self.residuals, self.in_machine_code),
-            StraightLine(forward.slopes, slopes, shapes, names, self.in_machine_code),
+            StraightLine(graph, slopes, shapes, names, self.in_machine_code),
             follows,
+            read,
         )
+
+    def _is_read(self, argument: int) -> bool:
+        """Whether a derivative may read an argument: inputs of a line are numbers, and truths are not."""
+        of_residual = argument - len(self.shapes)
+        return of_residual < 0 or self.dtype(self.residuals[of_residual]) == FLOAT
 
     @property
     def _all_shapes(self) -> list[Shape]:
@@ -304,11 +317,34 @@ class Derivative(NamedTuple):
         values: the line, with the coefficients of the derivative as further outputs.
         slopes: the derivative, from the tangents and the coefficients; linear in the tangents.
         follows: which outputs have one; `slopes` has the outputs for these.
+        read: arguments of the line that `slopes` takes too, between the tangents and the coefficients.
     """
 
     values: StraightLine
     slopes: StraightLine
     follows: tuple[bool, ...]
+    read: tuple[int, ...] = ()
+
+
+def _places(arguments: Sequence[Sequence[int | None]], begin: int = 0) -> dict[int, tuple[int, int]]:
+    """The argument, counted from `begin`, and the entry of each node that is one."""
+    places = {}
+    for argument, nodes in enumerate(arguments, begin):
+        places.update((node, (argument, entry)) for entry, node in enumerate(nodes) if node is not None)
+    return places
+
+
+def _with_arguments_in_turn(graph: Graph, needed: Collection[int], n_tangents: int) -> tuple[Graph, tuple[int, ...]]:
+    """A graph that reads tangents and arguments behind them, with the arguments numbered without gaps; and which."""
+    inputs = {graph.parameters[node][0] for node in range(len(graph.operations)) if graph.operations[node] == "input"}
+    used = {graph.parameters[node][0] for node in needed if graph.operations[node] == "input"}
+    read = sorted(i for i in used if i >= n_tangents)
+    number = dict(zip(read, range(n_tangents, n_tangents + len(read)), strict=True))
+    if any(old != new for old, new in number.items()):
+        # What nothing needs keeps an input, with a number below zero, which no argument has.
+        unread = {i: i if i < n_tangents else -1 - i for i in inputs}
+        graph = graph.copy({**unread, **number})
+    return graph, tuple(i - n_tangents for i in read)
 
 
 def _reader(flat: Sequence[Array]) -> Callable:
@@ -380,13 +416,13 @@ def _differentiated(primals: Sequence, tangents: Sequence, *, line: StraightLine
     moves = tuple(
         type(t) is not ad.Zero and jax.typeof(x).dtype == FLOAT for x, t in zip(primals, tangents, strict=True)
     )
-    derivative = line.derivative(moves)
+    derivative = line.derivative(moves, reads_arguments=True)
     results = _straight_line.bind(*primals, line=derivative.values, lanes=lanes, axes=axes)
     values, coefficients = results[: len(line.outputs)], results[len(line.outputs) :]
     _, spread = derivative.values.spread(axes)
     # A coefficient has the lanes of what it was computed from, a tangent those of its argument.
-    over = *itertools.compress(axes, moves), *spread[len(line.outputs) :]
-    along = [*itertools.compress(tangents, moves)]
+    over = *itertools.compress(axes, moves), *(axes[i] for i in derivative.read), *spread[len(line.outputs) :]
+    along = [*itertools.compress(tangents, moves), *(primals[i] for i in derivative.read)]
     slopes = _straight_line.bind(*along, *coefficients, line=derivative.slopes, lanes=lanes, axes=over)
     _, narrow = derivative.slopes.spread(over)
     wide = itertools.compress(spread, derivative.follows)

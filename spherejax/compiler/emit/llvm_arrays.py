@@ -17,6 +17,9 @@ from spherejax.compiler.emit.llvm_vectors import spread_out
 LARGE = 4096
 """Entries of an array that is changed in place; smaller ones are copied."""
 
+LARGEST_COPIED = 2**15
+"""The same limit, of a loop that computes with such arrays entry by entry: derivatives by the weights of a network."""
+
 LARGEST_WRITTEN_OUT = 1024
 """Entries of an array that operations are written out for, at most; for more, and fewer than `LARGE`, there are loops.
 With 4,096 written out, a film with three rows of sensitivities takes a third longer to compile for a tenth of its time,
@@ -35,6 +38,10 @@ FIRST_BLOCK = "work"
 
 class NotWrittenError(Exception):
     """An operation has no rule here; XLA compiles the program instead."""
+
+
+class TooManyEntriesError(NotWrittenError):
+    """An array is too large to be computed entry by entry."""
 
 
 class Memory:
@@ -96,7 +103,8 @@ class ArrayText:
     """Lines of a function, and what is to be declared outside of it.
 
     Args:
-        largest_written_out, largest_by_entry: see `LARGEST_WRITTEN_OUT` and `LARGE`.
+        largest_written_out, large: see `LARGEST_WRITTEN_OUT` and `LARGE`.
+        largest_by_entry: entries of an array that is computed entry by entry, at most; None for less than `large`.
         smallest_shared: bytes of an array that gets no place of its own, at least.
 
     Attributes:
@@ -106,10 +114,12 @@ class ArrayText:
     def __init__(
         self,
         largest_written_out: int = LARGEST_WRITTEN_OUT,
-        largest_by_entry: int = LARGE - 1,
+        largest_by_entry: int | None = None,
         smallest_shared: float = math.inf,
+        large: int = LARGE,
     ) -> None:
-        self._largest_written_out, self._largest_by_entry = largest_written_out, largest_by_entry
+        self.large, self._largest_written_out = large, largest_written_out
+        self._largest_by_entry = large - 1 if largest_by_entry is None else largest_by_entry
         self._smallest_shared = smallest_shared
         self.shared: dict[str, int] = {}
         self.lines: list[str] = []
@@ -232,7 +242,7 @@ class ArrayText:
             return
         if source.size == 1:  # is no array in memory: its name is the number
             self.write(target, 0, source.name)
-        elif source.size >= LARGE:
+        elif source.size >= self.large:
             # A call, where vectors would be more than 128 loads and stores in the text.
             self.declared["declare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)"] = None
             n = source.size * (1 if source.kind == "i1" else 8)
@@ -292,7 +302,7 @@ class ArrayText:
         if size == 1:
             return Value(tuple(shape), kind, write(1, *(self.read(value) for value in values)))
         if size > self._largest_by_entry:
-            raise NotWrittenError(f"an operation on {size} numbers")
+            raise TooManyEntriesError(f"an operation on {size} numbers")
         target = self.array(shape, kind)
 
         def write_chunk(at: int | str, width: int) -> None:
@@ -323,8 +333,8 @@ class ArrayText:
         if is_whole:
             return first._replace(shape=entries.shape, name=self.pointer(first, int(within[0])))
         pieces = _pieces(of, within)
-        if flat.size >= LARGE or (flat.size > LARGEST_WRITTEN_OUT and len(pieces) > MOST_PIECES):
-            raise NotWrittenError(f"{flat.size} numbers that are moved in {len(pieces)} pieces")
+        if flat.size >= self.large or (flat.size > LARGEST_WRITTEN_OUT and len(pieces) > MOST_PIECES):
+            raise TooManyEntriesError(f"{flat.size} numbers that are moved in {len(pieces)} pieces")
         target = self.array(entries.shape, kind)
         for at, n, step in pieces:
             self.move(sources[of[at]], int(within[at]), step, target, at, n)

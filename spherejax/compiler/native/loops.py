@@ -24,9 +24,11 @@ from spherejax.compiler.array_operations import ARRAY_OPERATIONS, written_by_ent
 from spherejax.compiler.emit.llvm import FunctionText, head
 from spherejax.compiler.emit.llvm_arrays import (
     LARGE,
+    LARGEST_COPIED,
     ArrayText,
     Memory,
     NotWrittenError,
+    TooManyEntriesError,
     Value,
     kind_of,
     stored_as,
@@ -53,15 +55,26 @@ def looped(parameters: Any, values: Sequence[Any]) -> list[Any]:
     arrays = [jax.numpy.asarray(value) for value in values]
     avals = [ShapedArray(x.shape, x.dtype) for x in arrays]
     results = [ShapedArray(v.aval.shape, v.aval.dtype) for v in parameters["body_jaxpr"].jaxpr.outvars]
-    text = LoopText(parameters, avals, results)
-    return _loop.bind(*arrays, written=WrittenLoop(text.written(), tuple(text.called)), results=tuple(results))
+    try:
+        written = LoopText(parameters, avals, results).whole()
+    except TooManyEntriesError:
+        # It computes with arrays of thousands of numbers. Those that it changes in place are larger, or it copies them.
+        written = LoopText(parameters, avals, results, LARGEST_COPIED).whole()
+    return _loop.bind(*arrays, written=written, results=tuple(results))
 
 
 class WrittenLoop(NamedTuple):
-    """The text of a loop, and names of other machine code that it calls."""
+    """The text of a loop.
+
+    Attributes:
+        text: of the function.
+        called: names of other machine code that it calls.
+        in_place: arguments that XLA may give away to be changed in place, each with the result that it becomes.
+    """
 
     text: str
     called: tuple[str, ...]
+    in_place: tuple[tuple[int, int], ...]
 
 
 PREFIX = "spherejaxloop_"
@@ -83,7 +96,7 @@ def _lowered(context: Any, *arguments: Any, written: WrittenLoop, results: tuple
     del results
     name = machine_code.target_of(written.text, is_wide=False, is_optimised=True, prefix=PREFIX)
     machine_code.note_ffi_targets([*written.called, name])
-    return jax.ffi.ffi_lowering(name)(context, *arguments)
+    return jax.ffi.ffi_lowering(name, operand_output_aliases=dict(written.in_place))(context, *arguments)
 
 
 def _batched(arguments: Sequence, dims: Sequence, **how: Any) -> tuple[Sequence, Sequence]:
@@ -98,17 +111,28 @@ mlir.register_lowering(_loop, _lowered, platform="cpu")
 class LoopText:
     """The text of a loop.
 
+    Args:
+        parameters: of the operation `while`.
+        avals, results: what its arguments and results are.
+        large: entries of an array that is changed in place, at least.
+
     Attributes:
         called: names of other machine code that is called.
+        in_place: as of `WrittenLoop`.
     """
 
-    def __init__(self, parameters: Any, avals: Sequence[Any], results: Sequence[Any]):
+    def __init__(self, parameters: Any, avals: Sequence[Any], results: Sequence[Any], large: int = LARGE):
         self.parameters, self.avals, self.results = parameters, avals, results
-        self.text = ArrayText()
+        self.text = ArrayText(large=large)
         self.called: dict[str, None] = {}
+        self.in_place: list[tuple[int, int]] = []
         self._calls_arrays = False
         self._functions: list[str] = []
         self._at_begin: list[str] = []
+
+    def whole(self) -> WrittenLoop:
+        """The loop, to be called."""
+        return WrittenLoop(self.written(), tuple(self.called), tuple(self.in_place))
 
     def written(self) -> str:
         """The text of a function that XLA calls."""
@@ -119,11 +143,12 @@ class LoopText:
         slots = []
         for i, (value, aval) in enumerate(zip(values[begin:], self.results, strict=True)):
             # A large array (samples, steps) is carried where the result belongs, which saves copying it at the end.
-            if value.size < LARGE:
+            if value.size < text.large:
                 slots.append(None)
                 continue
             slot = Value(aval.shape, value.kind, f"%r{i}", Memory(is_own=True))
-            text.copy(value, slot)
+            self.in_place.append((begin + i, i))
+            self._copy_elsewhere(value, slot)
             slots.append(slot)
         finals = self.loop(self.parameters, values, slots)
         for i, (value, aval) in enumerate(zip(finals, self.results, strict=True)):
@@ -132,6 +157,17 @@ class LoopText:
         body = [*text.room, *self._at_begin, *text.lines, "  ret ptr null", "}", ""]
         begin_of_all = head(len(self.avals), len(self.results))
         return "\n".join([*text.declared, *text.outside, *self._functions, begin_of_all, *body])
+
+    def _copy_elsewhere(self, source: Value, target: Value) -> None:
+        """A large array into its result, unless XLA has made both the same place in memory."""
+        text = self.text
+        copied, kept = text.new("copied"), text.new("kept")
+        is_same = text.made(f"icmp eq ptr {source.name}, {target.name}")
+        text.say(f"br i1 {is_same}, label %{kept}, label %{copied}")
+        text.lines.append(f"{copied}:")
+        text.copy(source, target)
+        text.say(f"br label %{kept}")
+        text.lines.append(f"{kept}:")
 
     def _given(self, aval: Any, pointer: str) -> Value:
         kind = kind_of(aval.dtype)
@@ -243,7 +279,7 @@ class LoopText:
         """Where a loop carries a value: a large array stays where it is."""
         if not value.size:
             return value
-        if value.size >= LARGE:
+        if value.size >= self.text.large:
             return self.text.changed(value)
         # A copy, because the loop writes to its slots, and the value may still be read behind it.
         slot = self.text.array(value.shape, value.kind)
@@ -275,7 +311,7 @@ class LoopText:
             if value.size <= 1 or value.name == slot.name or id(value.memory) not in places:
                 safe.append(value)
                 continue
-            if value.size >= LARGE:
+            if value.size >= self.text.large:
                 raise NotWrittenError("a large array that changes its place")
             apart = self.text.array(value.shape, value.kind)
             self.text.copy(value, apart)
@@ -339,7 +375,7 @@ class LoopText:
         # The last branch is the default: an index outside takes it, as in StableHLO.
         cases = " ".join(f"i64 {i}, label %{label}" for i, label in enumerate(labels[:-1]))
         text.say(f"switch i64 {index}, label %{labels[-1]} [{cases}]")
-        memories = {id(v.memory): v.memory for v in operands if v.memory is not None and v.size >= LARGE}
+        memories = {id(v.memory): v.memory for v in operands if v.memory is not None and v.size >= self.text.large}
         before = {key: memory.version for key, memory in memories.items()}
         latest = dict(before)
         outs: list[list[Value]] = []
@@ -352,7 +388,7 @@ class LoopText:
                 memory.version = before[key]
             outputs = self.program(closed, operands)
             if not targets:
-                targets = [None if v.size >= LARGE or not v.size else text.array(v.shape, v.kind) for v in outputs]
+                targets = [text.array(v.shape, v.kind) if 0 < v.size < text.large else None for v in outputs]
             for value, target in zip(outputs, targets, strict=True):
                 if target is not None:
                     text.copy(text.checked(value), target)

@@ -156,14 +156,18 @@ class Tangents:
         """f with the coefficients of its tangents, and what makes the tangents of them."""
         # Time has no tangent within a step (h and `bend` are the same for all rows); the state always has one.
         moves = [source == MOVED or self.moves.get(source, False) for source in rate.sources]
-        derivative = rate.line.derivative(tuple(moves))
+        derivative = rate.line.derivative(tuple(moves), reads_arguments=True)
         assert derivative.follows[0], "a rate that does not depend on the state"
         coefficients = [made_by_rate(i) for i in range(1, len(derivative.values.outputs))]
-        along = self.part(derivative.slopes, compress(rate.sources, moves), coefficients)
+        read = [rate.sources[i] for i in derivative.read]
+        along = self.part(derivative.slopes, compress(rate.sources, moves), [*read, *coefficients])
         return LinePart(derivative.values, rate.sources), along
 
-    def part(self, line: StraightLine, moving: Iterable[int | str], coefficients: Sequence[str]) -> LinePart:
-        """The tangents that a line makes of those of the arguments that move, with coefficients of its value."""
+    def part(self, line: StraightLine, moving: Iterable[int | str], coefficients: Sequence[int | str]) -> LinePart:
+        """The tangents that a line makes of those of the arguments that move, with coefficients of its value.
+
+        Coefficients are what its value makes, or arguments of it.
+        """
         names: dict[int | str, int | str] = {**self.places, Y: BEGIN_ROWS, MOVED: MOVED_ROWS}
         tangents = [names[source] for source in moving]
         # Tangents are of each row; the coefficients are the same for all of them.

@@ -34,11 +34,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from spherejax.compiler import uninitialized
 from spherejax.foundations.checks import is_concrete
 from spherejax.model.system import example_of
 from spherejax.motion.equations.contacts import kinks_of
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import Program, program_for
+from spherejax.motion.equations.projection import correction_reads_parameters
 from spherejax.motion.integration.compiling import in_machine_code, native_run, options_for
 from spherejax.motion.integration.implicit_rows import differentiable_solver
 from spherejax.motion.integration.jobs import Job, JobKind, with_slopes
@@ -82,8 +84,7 @@ the cotangents of all stages, and the gradient of a dry four-bar (167 numbers) t
 numbers are summed in place by a loop, and copied by unrolled stages: with 1,205 numbers the loop is 5 % faster."""
 
 ROOM, ROOM_WITH_CONTACT = 1024, 4096
-"""Steps of a stretch. All stretches but the last are made twice. A program fills the room with NaN when it begins: with
-contact 4 MB for a four-bar, 0.4 ms, of which no run with its impacts takes less than ten times as much."""
+"""Steps of a stretch. All stretches but the last are made twice. Room that is not used is not written either."""
 
 FACTOR_OVER_KINKS = 0.1
 """Errors of the mixture, where steps go over kinks: this share of what a row by one number is allowed. With 1 the
@@ -264,8 +265,8 @@ def _pulled_back(plan: Plan, method: RunMethod, inputs: RunInputs, by_ys, by_ass
         jnp.zeros((), jnp.int64),
         jnp.array(False),
         jnp.asarray(job.may_run),
-        jnp.zeros(N_STRETCHES).at[0].set(ts[0]),
-        jnp.zeros((N_STRETCHES, *job.y0.shape)).at[0].set(job.y0),
+        uninitialized((N_STRETCHES,)).at[0].set(ts[0]),
+        uninitialized((N_STRETCHES, *job.y0.shape)).at[0].set(job.y0),
         sweep,
     )
     swept = jax.lax.while_loop(_goes_on, partial(_with_stretch, problem, job, ts[-1], back), stretches)
@@ -347,6 +348,7 @@ class _StepsBack:
         self.weights = jnp.pad(jnp.cumsum(jnp.abs(by_ys), axis=0), ((1, 0), (0, 0)))
         self.rate = lambda t, y, parameters: rate.inside(parameters.theta, parameters.ahead, t, y)
         self.correct, self.event = correction_for(plan), event_of(plan, rate)
+        self.corrects_by_numbers = self.correct is not None and correction_reads_parameters(plan.structure, plan.scalar)
         self.taken = samples_of(plan.structure, plan.scalar)
         self.contacts = contacts_of(plan.structure, plan.scalar)
         self.room = ROOM if self.contacts is None else ROOM_WITH_CONTACT
@@ -416,23 +418,25 @@ class _StepsBack:
             return (i >= 0) & (ts[jnp.clip(i, 0, last)] > t)
 
         def with_inside(carry):
-            by_numbers, by_inside, i = carry
+            *so_far, i = carry
             # Most losses look at few of the samples, or at few times.
             return (
                 *jax.lax.cond(
                     jnp.any(self.by_ys[i] != 0),
                     partial(self._sample_back, t, size, bend, inside),
-                    lambda i, by_numbers, by_inside: (by_numbers, by_inside),
+                    lambda i, *so_far: tuple(so_far),
                     i,
-                    by_numbers,
-                    by_inside,
+                    *so_far,
                 ),
                 i - 1,
             )
 
         by_end, i = jax.lax.while_loop(is_at_end, with_end, (sweep.by_state, sweep.sample))
         none = jax.tree.map(jnp.zeros_like, inside)
-        by_numbers, by_inside, i = jax.lax.while_loop(is_inside, with_inside, (sweep.by_numbers, none, i))
+        # Only the correction of samples may read numbers: where it does not, thousands of them are not carried along.
+        moved = (none, sweep.by_numbers) if self.corrects_by_numbers else (none,)
+        by_inside, *corrected, i = jax.lax.while_loop(is_inside, with_inside, (*moved, i))
+        (by_numbers,) = corrected or (sweep.by_numbers,)
         more, by_state = back((by_end, by_inside))
         added = self.weights[sweep.sample + 1] - self.weights[i + 1]
         scale = sweep.scale + added @ self.tolerances.sizes(y_next)
@@ -457,18 +461,22 @@ class _StepsBack:
         end, _, inside, *_ = self.solver.step(term, t, t + size, y, parameters, None, jnp.array(False))
         return end, inside
 
-    def _sample_back(self, t, size, bend, inside, i, by_numbers, by_inside):
-        """The derivatives by one sample, carried on to the stages of its step and to the parameters."""
+    def _sample_back(self, t, size, bend, inside, i, by_inside, by_numbers=None) -> tuple:
+        """The derivatives by one sample, added to those by the stages of its step, and to those by numbers if given."""
         at = self.ts[i]
 
-        def sampled(parameters, inside):
+        def sampled(inside, parameters):
             share = jnp.clip((at - t) / size, 0.0, 1.0)
             share = share if bend is None else own_time(share, bend)
             y = self.interpolation(t0=t, t1=t + size, **inside).evaluate(t + share * size)
             return y if self.correct is None else self.correct(parameters, at, y)
 
-        more, by_these = jax.vjp(sampled, self.parameters, inside)[1](self.by_ys[i])
-        return jax.tree.map(jnp.add, by_numbers, more), jax.tree.map(jnp.add, by_inside, by_these)
+        if by_numbers is None:
+            of_these = partial(sampled, parameters=self.parameters)
+            so_far, more = (by_inside,), jax.vjp(of_these, inside)[1](self.by_ys[i])
+        else:
+            so_far, more = (by_inside, by_numbers), jax.vjp(sampled, inside, self.parameters)[1](self.by_ys[i])
+        return jax.tree.map(jnp.add, so_far, more)
 
 
 def mixture_of(n_directions: int) -> Float[np.ndarray, "1 k"]:

@@ -116,12 +116,20 @@ class Program:
     @cached_property
     def reads_time(self) -> bool:
         """Whether time enters by itself; of array code as far as its operations show, without their numbers."""
+        return self._reads(_TIME)
+
+    @cached_property
+    def reads_parameters(self) -> bool:
+        """Whether any parameter enters; of array code as `reads_time`."""
+        return self._reads(_PARAMETERS)
+
+    def _reads(self, argument: int) -> bool:
         if self.scalar is not None:
-            return self.scalar.reads(_TIME)
+            return self.scalar.reads(argument)
         theta, number, state = _shapes(self.structure, None)
         traced = jax.make_jaxpr(self)(theta, number, state).jaxpr
         _, is_read = dce_jaxpr(traced, [True] * len(traced.outvars))
-        return is_read[_TIME]
+        return is_read[argument]
 
     def ahead(self, *leading):
         """What depends on the leading arguments (the parameters first) alone, evaluated once; pass it to `inside`."""
@@ -267,8 +275,8 @@ def _shapes(structure: Structure, y_size: Sizes) -> tuple[Any, Any, Any]:
     return shapes, number, vectors if isinstance(y_size, tuple) else vectors[0]
 
 
-_TIME = 1
-"""Place of t among the arguments of a program."""
+_PARAMETERS, _TIME = 0, 1
+"""Places of theta and t among the arguments of a program."""
 
 
 # Which path -----------------------------------------------------------------------------------------------------------

@@ -119,9 +119,18 @@ def _turned_back(p: Quaternion, turn: Vector3) -> Quaternion:
 def correction_of(structure: Structure, use_scalars: bool | None, n_corrections: int) -> Callable:
     """The drift control's correction of a state, for the integrator: a function of (parameters, t, y)."""
     program = program_for(corrected, structure, use_scalars)
+    has_parameters = program.reads_parameters
 
     def correct(parameters, t, y):
+        # In reverse mode a derivative by each of thousands of weights would be an array of zeros, to be added.
+        theta = parameters.theta if has_parameters else jax.lax.stop_gradient(parameters.theta)
         # A loop with a fixed number of turns: reverse mode passes through it, and lanes of a batch stay together.
-        return jax.lax.fori_loop(0, n_corrections, lambda _, y: program(parameters.theta, t, y), y)
+        return jax.lax.fori_loop(0, n_corrections, lambda _, y: program(theta, t, y), y)
 
     return correct
+
+
+def correction_reads_parameters(structure: Structure, use_scalars: bool | None) -> bool:
+    """Whether the drift control's correction depends on parameters: where nothing is jointed, it makes unit quaternions
+    alone."""
+    return program_for(corrected, structure, use_scalars).reads_parameters

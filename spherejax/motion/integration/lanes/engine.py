@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from spherejax.compiler import uninitialized
 from spherejax.foundations.lanes import in_lanes, with_rows_at
 from spherejax.motion.integration.audit import Watch
 from spherejax.motion.integration.compiling import native_run
@@ -262,8 +263,8 @@ class Queue:
         log = None
         if self.capacity:
             rows = self.n_jobs * self.capacity, len(self.shares) + 1
-            trials = jnp.full((rows[0], 2), jnp.nan)
-            log = StepLog(jnp.full(rows, jnp.nan), jnp.full((*rows, *self.y0.shape[1:]), jnp.nan), trials)
+            # Not filled: most runs write few of these rows.
+            log = StepLog(*map(uninitialized, (rows, (*rows, *self.y0.shape[1:]), (rows[0], 2))))
         last = self.nothing_last(lanes)
         rows = account.rows(self.n_jobs)
         carry = lanes, jnp.asarray(width), rows, ys, jnp.zeros((), jnp.int64), log, looks, last

@@ -81,12 +81,11 @@ class LaneProblem(NamedTuple):
 
 
 class StepLog(NamedTuple):
-    """The steps of all runs of a queue, one row each.
+    """The steps of all runs of a queue, one row each; what is in rows of steps that were not made is undetermined.
 
     Attributes:
         times: of the shares of each step that were asked for, and of its end [s], shape (n_jobs, capacity, k + 1).
-        states: there; at the end with what its events changed, shape (n_jobs, capacity, k + 1, ...). Rows of steps that
-            were not made are NaN.
+        states: there; at the end with what its events changed, shape (n_jobs, capacity, k + 1, ...).
         trials: length [s] of the trial step that was kept, which an event inside it may have cut short, and the bend of
             the time that it was made in (`stages.own_time`), shape (n_jobs, capacity, 2).
     """
