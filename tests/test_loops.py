@@ -7,10 +7,10 @@ import pytest
 from jax.extend import core as jex
 
 import spherejax as sj
-from spherejax.compiler import uninitialized
 from spherejax.compiler.emit.llvm_arrays import LARGE, NotWrittenError
 from spherejax.compiler.native import compile as machine_code
 from spherejax.compiler.native import loop_fusion, loops
+from spherejax.compiler.native.uninitialized import uninitialized
 from spherejax.motion.integration import one_run
 from spherejax.program_cache import folders
 

@@ -11,7 +11,6 @@ if TYPE_CHECKING:
     from spherejax.compiler.graph import NotScalarizable
     from spherejax.compiler.native.array_programs import ArrayProgram
     from spherejax.compiler.native.switch import native_code
-    from spherejax.compiler.native.uninitialized import uninitialized
     from spherejax.compiler.program import ScalarProgram, scalarize
 
 # A name is imported when it is first asked for: `hooks` is needed when the host package is imported, which must not
@@ -25,12 +24,11 @@ _PLACES = {
     "native_code": ".native.switch",
     "runge_kutta": ".runge_kutta",
     "scalarize": ".program",
-    "uninitialized": ".native.uninitialized",
 }
 
 __all__ = [
     "ArrayProgram", "NotScalarizable", "ScalarProgram", "hooks", "linear_algebra", "native_code",
-    "runge_kutta", "scalarize", "uninitialized",
+    "runge_kutta", "scalarize",
 ]  # fmt: skip
 
 

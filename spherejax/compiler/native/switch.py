@@ -6,6 +6,7 @@ from typing import Any
 
 from spherejax.compiler.native import compile as machine_code
 from spherejax.compiler.native.loop_fusion import fuse_loops, whole_loops
+from spherejax.compiler.native.uninitialized import uninitialized
 
 
 class native_code:  # noqa: N801 - a context manager, as those of contextlib
@@ -53,3 +54,4 @@ class native_code:  # noqa: N801 - a context manager, as those of contextlib
     record_ffi_targets = staticmethod(machine_code.record_ffi_targets)
     register_object_code = staticmethod(machine_code.register_object_code)
     note_ffi_targets = staticmethod(machine_code.note_ffi_targets)
+    uninitialized = staticmethod(uninitialized)

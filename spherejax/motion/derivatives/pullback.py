@@ -34,14 +34,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from spherejax.compiler import uninitialized
 from spherejax.foundations.checks import is_concrete
 from spherejax.model.system import example_of
 from spherejax.motion.equations.contacts import kinks_of
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import Program, program_for
 from spherejax.motion.equations.projection import correction_reads_parameters
-from spherejax.motion.integration.compiling import in_machine_code, native_run, options_for
+from spherejax.motion.integration.compiling import in_machine_code, native_run, options_for, room_for
 from spherejax.motion.integration.implicit_rows import differentiable_solver
 from spherejax.motion.integration.jobs import Job, JobKind, with_slopes
 from spherejax.motion.integration.lanes import Block, LaneProblem, StepLog, steps_in_lanes
@@ -265,8 +264,8 @@ def _pulled_back(plan: Plan, method: RunMethod, inputs: RunInputs, by_ys, by_ass
         jnp.zeros((), jnp.int64),
         jnp.array(False),
         jnp.asarray(job.may_run),
-        uninitialized((N_STRETCHES,)).at[0].set(ts[0]),
-        uninitialized((N_STRETCHES, *job.y0.shape)).at[0].set(job.y0),
+        room_for((N_STRETCHES,)).at[0].set(ts[0]),
+        room_for((N_STRETCHES, *job.y0.shape)).at[0].set(job.y0),
         sweep,
     )
     swept = jax.lax.while_loop(_goes_on, partial(_with_stretch, problem, job, ts[-1], back), stretches)

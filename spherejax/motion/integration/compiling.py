@@ -4,6 +4,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
+from jax import Array
+
 from spherejax.compiler import hooks, native_code
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import MOST_ROWS_ALONE, path_of, program_for
@@ -71,6 +73,11 @@ def native_run(function: Callable[[], Any], is_native: bool, joins: bool = True)
         joins: whether what lies between the programs of another loop is put into few kernels.
     """
     return native_code(is_native, joins)(function)()
+
+
+def room_for(shape: tuple[int, ...]) -> Array:
+    """An array for rows that a loop writes before it reads them: what is in it before is undetermined."""
+    return native_code.uninitialized(shape)
 
 
 def is_large(plan: Any) -> bool:
