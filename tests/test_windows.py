@@ -148,7 +148,7 @@ def test_a_run_is_the_same_bits_wherever_it_pauses(name, turns, monkeypatch):
 
     monkeypatch.setattr(one_run, "_pace", lambda *_: Short())
     run = made()
-    assert len(n_calls) > int(whole.stats.n_steps) // turns
+    assert len(n_calls) >= int(whole.stats.n_steps) // turns
     for found, expected in zip(jax.tree.leaves(run), jax.tree.leaves(whole), strict=True):
         np.testing.assert_array_equal(found, expected)
 

@@ -102,6 +102,12 @@ class ScalarProgram:
         # By what is needed, not by all inputs of the graph: an argument may have folded away.
         return any(graph.operations[i] == "input" and graph.parameters[i][0] == argument for i in needed)
 
+    def entries_read(self, argument: int) -> np.ndarray:
+        """Indices of the entries of an argument (counted in leaves) that the outputs depend on, ascending."""
+        graph = self._graph
+        inputs = [graph.parameters[i] for i in graph.needed(self._flat_outputs) if graph.operations[i] == "input"]
+        return np.array(sorted({entry for leaf, entry in inputs if leaf == argument}), int)
+
     def dependence(self, argument: int) -> np.ndarray:
         """Which outputs (rows, flat) depend on which entries (columns, flat) of an argument (counted in leaves)."""
         graph = self._graph

@@ -59,7 +59,15 @@ def is_concrete(value) -> bool:
 def is_tracing() -> bool:
     """Whether a program is being traced: what is computed now, of numbers too, becomes a part of it."""
     # The cheapest operation that there is: 5 us, where `jnp.zeros` takes 40.
-    return not is_concrete(jax.lax.stop_gradient(_a_number()))
+    return not _is_outside_of_transformations() and not is_concrete(jax.lax.stop_gradient(_a_number()))
+
+
+try:
+    from jax._src.core import trace_state_clean as _is_outside_of_transformations
+except ImportError:  # it is private
+
+    def _is_outside_of_transformations() -> bool:
+        return False
 
 
 @cache

@@ -8,11 +8,15 @@ import jax
 import jax.core
 from jax.extend import core as jex
 
+from spherejax.program_cache import private
+
 
 def is_tracing() -> bool:
     """Whether a program is being traced: what is computed now, of numbers too, becomes a part of it."""
     # The cheapest operation that there is: 5 us, where `jnp.zeros` takes 40. JAX's own `trace_ctx` is deprecated.
-    return isinstance(jax.lax.stop_gradient(_a_number()), jax.core.Tracer)
+    return not private.is_outside_of_transformations() and isinstance(
+        jax.lax.stop_gradient(_a_number()), jax.core.Tracer
+    )
 
 
 @cache

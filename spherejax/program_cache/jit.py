@@ -10,7 +10,7 @@ It does what `equinox.filter_jit` does (arrays are traced, everything else is st
   not trace it again.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial, update_wrapper
 from types import MappingProxyType
 from typing import Any
@@ -44,6 +44,13 @@ class CachedJit:
         # The program itself is not held: if it is evicted in between, its memory is freed, and it is made again.
         key = program.key
         return lambda: self._evaluated(self._programs.get(key, make), arrays)
+
+    def bound_form(self, *arguments: Any) -> Callable[[Sequence], Any]:
+        """A function that evaluates with other arrays of the same shapes and types, in the order of the leaves of these
+        arguments; all that is no array is as it is here."""
+        program, make, _ = self._program_for(arguments, {})
+        key = program.key
+        return lambda arrays: self._evaluated(self._programs.get(key, make), list(arrays))
 
     def bound_but(self, n_last: int, *arguments: Any) -> Callable[..., Any]:
         """A function of the last few arguments that evaluates with all the others as they are here.

@@ -30,6 +30,15 @@ def is_jit_disabled() -> bool:
     return bool(jax.config.values.get("jax_disable_jit", False))
 
 
+try:
+    from jax._src.core import trace_state_clean as is_outside_of_transformations
+except ImportError:
+
+    def is_outside_of_transformations() -> bool:
+        """Whether no transformation of JAX is under way; False where JAX does not say."""
+        return False
+
+
 def n_devices(context: Any) -> int:
     """Over how many devices XLA partitions the program that is lowered in a context of a lowering rule.
 
@@ -132,6 +141,11 @@ def _says_how_many_devices() -> bool:
 PARTS: Sequence[tuple[str, str, Callable[[], bool]]] = (
     ("settings by name", "errors of JAX's under jax.disable_jit; programs are not written to disk", _has_settings),
     ("events of the compilation cache", "programs are not written to disk where JAX has a cache", _says_what_it_loads),
+    (
+        "whether a transformation is under way",
+        "5 us more for each question whether a program is traced",
+        is_outside_of_transformations,
+    ),
     (
         "the number of devices of a program",
         "arrays on several devices end with an error of XLA's",

@@ -131,6 +131,11 @@ class Program:
         _, is_read = dce_jaxpr(traced, [True] * len(traced.outvars))
         return is_read[argument]
 
+    @cached_property
+    def numbers_read(self) -> np.ndarray | None:
+        """Indices of the parameters that it depends on; None of array code."""
+        return None if self.scalar is None else self.scalar.entries_read(0)
+
     def ahead(self, *leading):
         """What depends on the leading arguments (the parameters first) alone, evaluated once; pass it to `inside`."""
         if self.scalar is not None:

@@ -6,6 +6,7 @@ A run of numbers is two programs, its start and its windows of samples, which se
 
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -19,7 +20,7 @@ from spherejax.foundations.remembering.again import again
 from spherejax.model.system import Structure, example_of
 from spherejax.motion.equations.contacts import crossings
 from spherejax.motion.equations.dynamics import state_rate
-from spherejax.motion.equations.programs import program_for
+from spherejax.motion.equations.programs import Program, program_for
 from spherejax.motion.equations.sampling import initial_force_memory
 from spherejax.motion.integration.compiling import (
     OF_START,
@@ -50,6 +51,8 @@ from spherejax.motion.start.assembly import Assembly
 from spherejax.physics.state import Layout
 from spherejax.program_cache import cached_jit
 from spherejax.program_cache.disk_cache import is_debugging
+from spherejax.program_cache.keys import ArrayKind, LruCache, lru_get
+from spherejax.program_cache.user_code import user_code_fingerprint
 
 
 def run_of(plan: Plan, method: RunMethod, inputs: RunInputs) -> Outcome:
@@ -78,23 +81,28 @@ def _are_known(method: RunMethod, inputs: RunInputs) -> bool:
 def _in_windows(plan: Plan, method: RunMethod, inputs: RunInputs) -> Callable[[], Outcome]:
     """A run of numbers, by programs that are the same for any number of samples."""
     times = np.asarray(inputs.ts)
-    ends = jnp.asarray(times[[0, -1]])
+    ends = times[[0, -1]]
     pace = _pace(plan.structure, method.rest)
     theta = np.array(inputs.known)
     theta[list(plan.unknown)] = inputs.values[: len(plan.unknown)]
-    described = None if inputs.start is None else jnp.asarray(inputs.start.y)
-    start = _as_flying(plan, theta, times[0], inputs.start)
-    begin = started.bound(plan, method, inputs._replace(ts=ends, start=start))
-    known_how: list[Callable] = []
+    described = None if inputs.start is None else inputs.start.y
+    start = _as_flying(plan, theta, float(times[0]), inputs.start)
+    of_start = inputs._replace(ts=ends, start=start)
+    programs = _window_programs(plan, method, of_start, window_at(times, 0))
+    of_method, of_inputs = jax.tree.leaves(method), jax.tree.leaves(of_start)
 
     def run() -> Outcome:
+        nonlocal described
         with as_numbers():  # a run that is known is remembered, and may be asked for within a trace
-            (vectors, forms), assembly = begin()
-        if not known_how:  # the forms are known now
-            window, n_turns = window_at(times, 0), np.asarray(pace.n_turns)
-            known_how.append(advance_window.bound_but(3, plan, method, ends, forms, vectors, window, n_turns))
-        (go_on,) = known_how
+            (vectors, forms), assembly = programs.begin([*of_method, *of_inputs])
+            if described is not None:
+                described = jnp.asarray(described)
         found: Any = None
+
+        def go_on(vectors, *window):
+            if programs.advance is None:  # the forms are known now
+                programs.advance = advance_window.bound_form(plan, method, ends, forms, vectors, *window)
+            return programs.advance([*of_method, ends, *jax.tree.leaves(vectors), *window])
 
         def samples() -> Iterator[tuple[int, Array]]:
             nonlocal vectors, found
@@ -124,6 +132,30 @@ def _in_windows(plan: Plan, method: RunMethod, inputs: RunInputs) -> Callable[[]
     return run
 
 
+@dataclass
+class _WindowPrograms:
+    """The two programs of runs in windows, as functions of their arrays.
+
+    Attributes:
+        begin: `started`.
+        advance: `advance_window`; None before the first run, which shows the forms of what it takes.
+    """
+
+    begin: Callable[[list], Any]
+    advance: Callable[[list], Any] | None = None
+
+
+def _window_programs(plan: Plan, method: RunMethod, inputs: RunInputs, window: np.ndarray) -> _WindowPrograms:
+    """Those of all runs whose arrays have these forms: to find a program by its arguments takes 0.1 ms."""
+    leaves, tree = jax.tree.flatten((method, inputs, window))
+    key = None
+    if all(isinstance(leaf, np.ndarray | np.generic | jax.Array) for leaf in leaves):
+        key = plan, tree, user_code_fingerprint(tree), tuple(map(ArrayKind.of, leaves))
+    return lru_get(_programs, key, lambda: _WindowPrograms(started.bound_form(plan, method, inputs)))
+
+
+_programs = LruCache(64)
+
 _put_together = again(Outcome)
 
 
@@ -147,21 +179,46 @@ def _as_flying(plan: Plan, theta: Float[np.ndarray, " p"], t: float, start: Asse
 
     With what leads a ball to a place beyond its socket's surface the program has twice as many operations.
     """
-    n_contacts, layout, first_of_forces = _flight_of(plan.structure)
+    n_contacts, layout, _ = _flight_of(plan.structure)
     if start is None or not n_contacts or len(start.y) == layout.size:
         return start
-    crossing = program_for(crossings, plan.structure, plan.scalar, is_quiet=True)  # which the run needs as well
-    if crossing.scalar is None:
+    programs = _flight_programs(plan.structure, plan.scalar)
+    if programs is None:
         return start
-    y = np.concatenate([start.y, np.zeros(layout.size - len(start.y))])
+    numbers = tuple(theta[program.numbers_read].tobytes() for program in programs)
+    y = _flying(plan.structure, plan.scalar, numbers, start.y.tobytes(), t)
+    return start if y is None else start._replace(y=y)
+
+
+@lru_cache(maxsize=64)
+def _flight_programs(structure: Structure, scalar: bool | None) -> tuple[Program, ...] | None:
+    """What says whether balls fly, which the run needs as well, and the memory of force elements, where they have one;
+    None where one of these is array code."""
+    *_, first_of_forces = _flight_of(structure)
+    functions = (crossings,) if first_of_forces is None else (crossings, initial_force_memory)
+    programs = tuple(program_for(function, structure, scalar, is_quiet=True) for function in functions)
+    return None if any(program.scalar is None for program in programs) else programs
+
+
+@lru_cache(maxsize=256)
+def _flying(
+    structure: Structure, scalar: bool | None, numbers: tuple[bytes, ...], start: bytes, t: float
+) -> Float[np.ndarray, " size"] | None:
+    """The whole state of a start whose balls fly, by the numbers that these programs read; None where one touches."""
+    n_contacts, layout, first_of_forces = _flight_of(structure)
+    programs = _flight_programs(structure, scalar)
+    assert programs is not None
+    y = np.zeros(layout.size)
+    y[: len(start) // y.itemsize] = np.frombuffer(start)
+
+    def evaluated(i: int) -> Any:
+        theta = np.zeros(structure.starts[-1])
+        theta[programs[i].numbers_read] = np.frombuffer(numbers[i])
+        return programs[i].compute(theta, t, y)
+
     if first_of_forces is not None:
-        turned = program_for(initial_force_memory, plan.structure, plan.scalar, is_quiet=True)
-        if turned.scalar is None:
-            return start
-        first = layout.memory_start + first_of_forces
-        y[first : layout.work_start] = np.asarray(turned.compute(theta, t, y))
-    values = crossing.compute(theta, t, y).value[:n_contacts]
-    return start._replace(y=y) if np.all(values <= 0) else start
+        y[layout.memory_start + first_of_forces : layout.work_start] = np.asarray(evaluated(1))
+    return y if np.all(evaluated(0).value[:n_contacts] <= 0) else None
 
 
 @lru_cache(maxsize=64)

@@ -191,12 +191,7 @@ class RunMethod(eqx.Module):
         if not (are_arrays and type(max_steps) is int and at_start is None and tangent_tolerance_factor is None):
             controller = controller_for(structure, *numbers)
             return cls.of(structure, solver, controller, max_steps, at_start, tangent_tolerance_factor)
-        # By another scene's tolerances it is the same but for these: to make it takes fourteen times as long.
-        leaves, tree, places = _taken_apart(structure, Same(solver), max_steps, *map(np.shape, numbers))
-        leaves = list(leaves)
-        for place, number in zip(places, map(jnp.asarray, numbers), strict=True):
-            leaves[place] = number
-        return jax.tree.unflatten(tree, leaves)
+        return _with_tolerances(structure, Same(solver), Same(tolerances), max_steps)
 
     @classmethod
     def by_tolerances(
@@ -273,6 +268,18 @@ class RunMethod(eqx.Module):
         else:
             rtol = getattr(eqx.combine(self.tolerances, self.control), "rtol", None)
         return audit_limits(plan.structure, theta, rtol, self.rest)
+
+
+@lru_cache(maxsize=64)
+def _with_tolerances(structure: Structure, solver: Same, tolerances: Same, max_steps: int) -> RunMethod:
+    """A method with this package's step-size control."""
+    numbers = tolerances.value.rtol, tolerances.value.atol
+    # By another scene's tolerances it is the same but for these: to make it takes fourteen times as long.
+    leaves, tree, places = _taken_apart(structure, solver, max_steps, *map(np.shape, numbers))
+    leaves = list(leaves)
+    for place, number in zip(places, map(jnp.asarray, numbers), strict=True):
+        leaves[place] = number
+    return jax.tree.unflatten(tree, leaves)
 
 
 @lru_cache(maxsize=64)

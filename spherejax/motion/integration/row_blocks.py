@@ -6,6 +6,7 @@ from contextlib import contextmanager, nullcontext
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from spherejax.foundations.checks import is_tracing
@@ -73,7 +74,7 @@ def placed_rows(parts: Iterator[tuple[int, Any]], n: int) -> Any:
         begin, part = next(parts, (None, None))
         if begin is None and n <= size:
             # A few rows of a large part would keep all of it in memory: those are copied.
-            return jax.device_put(first[:n] if 2 * n > size else first[:n].copy(), may_alias=True)
+            return jax.device_put(first[:n], may_alias=True) if 2 * n > size else jnp.asarray(first[:n].copy())
         rows = _room((n, *first.shape[1:]), first.dtype)
         rows[:size], end = first[:n], size
         while begin is not None:

@@ -206,9 +206,17 @@ def _method_by_numbers(scene: PreparedScene, rtol: Any) -> SolverChoice:
     return choose_solver(scene.seen, rtol, explicit_only=scene.is_explicit_only)
 
 
-@memoized(N_ANSWERS, _by_scene)
 def scene_tolerances(scene: PreparedScene, rtol: Any) -> Tolerances:
     """Tolerances by the scales of a scene."""
+    if not scene.unknown and type(rtol) is float:
+        tolerances = known_tolerances(scene.structure, scene.known, rtol)
+        if tolerances is not None:
+            return tolerances
+    return _tolerances_of_whole(scene, rtol)
+
+
+@memoized(N_ANSWERS, _by_scene)
+def _tolerances_of_whole(scene: PreparedScene, rtol: Any) -> Tolerances:
     # A run and its derivative are judged by the same numbers: those behind the tracers of `jvp` and `grad`.
     behind = known_behind((scene.values, rtol))
     if len(behind) == 1:
@@ -223,13 +231,16 @@ def scene_tolerances(scene: PreparedScene, rtol: Any) -> Tolerances:
     return component_tolerances(system, known)
 
 
-@memoized(N_ANSWERS, _by_scene_and_time, copied=True)
 def closed_start(scene: PreparedScene, ts: Numeric) -> KnownStart | None:
-    """The consistent start at the first of the times, where it is known, and what is to be said of it."""
-    start = usual_start(scene.structure, scene.known, scene.unknown)
-    if start is None:
-        start = known_start(scene.seen, ts)
+    """The consistent start at the first of the times, where it is known, and what is to be said of it. Its arrays are
+    others' as well, not to be written to."""
+    start = usual_start(scene.structure, scene.known, scene.unknown) or _closed_whole(scene, ts)
     return None if start is None else start._replace(doubts=(*start.doubts, *scene.doubts))
+
+
+@memoized(N_ANSWERS, _by_scene_and_time)
+def _closed_whole(scene: PreparedScene, ts: Numeric) -> KnownStart | None:
+    return known_start(scene.seen, ts)
 
 
 @memoized(N_ANSWERS, _by_scene)

@@ -61,7 +61,7 @@ from spherejax.motion.start.assembly import Assembly
 from spherejax.motion.start.start_now import StartWarning
 from spherejax.motion.start.tolerances import Tolerances, tolerances_in_all_units, tolerances_of
 from spherejax.program_cache import memoized
-from spherejax.program_cache.keys import KeyedTree, own_arrays, value_key
+from spherejax.program_cache.keys import KeyedTree, own, value_key
 from spherejax.program_cache.user_code import read_once
 from spherejax.runtime import require_float64
 
@@ -322,7 +322,7 @@ def call_of(prepared_scene: PreparedScene, carried: CarriedStart | None, ts, set
                 f"adjoint={type(adjoint).__name__}() serves reverse mode (jax.grad) only; for forward mode (jax.jvp, "
                 "jax.jacfwd) leave adjoint= out, or pass adjoint=diffrax.ForwardMode()"
             ) from error
-        begun = outcome.assembly if assembly is None else own_arrays(assembly)
+        begun = outcome.assembly if assembly is None else Assembly(*map(own, assembly))
         made = made_of(ts, outcome, prepared_scene.leaves(), begun)
         # It was made just now, and nobody else has it. In a constructor it would be static, and each explanation, which
         # has the tolerances in it, would have it found out anew where leaves go.
@@ -432,6 +432,13 @@ def choice_for(
     return choose_solver(system, rtol, explicit_only=explicit_only)
 
 
+def _by_content(ts: Any) -> Hashable | None:
+    """The key of sample times; of many, or of a list, which is slow to compare, there is none."""
+    is_array = isinstance(ts, np.ndarray | jax.Array) and is_concrete(ts)
+    return value_key(ts) if is_array and ts.size <= MOST_TIMES else None
+
+
+@memoized(N_CALLS, _by_content)
 def checked_times(ts) -> Float[Array, " n"]:
     """Sample times as an array, checked where they are known; `SceneError` says what is wrong."""
     if is_concrete(ts):

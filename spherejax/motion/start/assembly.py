@@ -120,7 +120,38 @@ def assemble_now(structure: Structure, theta: Numeric, t: float = 0.0) -> Assemb
     Raises:
         SceneError: when the mechanism cannot be closed, naming the joint that gapes most.
     """
+    places = _described_by_numbers(structure)
+    if places is not None:
+        assembly = _as_described(structure, theta[places].tobytes(), float(t))
+        if assembly is not None:
+            return assembly
     return _assembled(structure, theta.tobytes(), float(t))
+
+
+@lru_cache(maxsize=64)
+def _described_by_numbers(structure: Structure) -> np.ndarray | None:
+    """The numbers that a start at rest depends on whose joints are closed: masses are not among them. None where
+    drivers have to be asked, and of array code."""
+    programs = program_for(_described, structure), program_for(assembly_residuals, structure)
+    read = [program.numbers_read for program in programs if program.numbers_read is not None]
+    return None if len(read) < len(programs) or example_of(structure).is_driven else np.union1d(*read)
+
+
+@lru_cache(maxsize=1024)
+def _as_described(structure: Structure, numbers: bytes, t: float) -> Assembly | None:
+    """The start of a mechanism that is described closed and at rest; None of another one, which has to be moved."""
+    theta = np.zeros(structure.starts[-1])
+    theta[_described_by_numbers(structure)] = np.frombuffer(numbers)
+    described = program_for(_described, structure).compute(theta, 0.0, np.zeros(_n_start(structure)))
+    gaps = program_for(assembly_residuals, structure).compute(theta, t, described)
+    if np.any(_velocities(described)) or not _are_closed(gaps):
+        return None
+    residual = _largest(gaps, np)
+    return _report(described, described, residual, residual, np)
+
+
+def _are_closed(gaps: dict[str, Any]) -> bool:
+    return all(np.max(np.abs(gap)) <= _ROUNDING for gap in gaps.values())
 
 
 @lru_cache(maxsize=1024)
@@ -132,7 +163,7 @@ def _assembled(structure: Structure, numbers: bytes, t: float) -> Assembly:
     moved = described
     for _ in range(N_NEWTON_STEPS):
         gaps = residual.compute(theta, t, moved)
-        if all(np.max(np.abs(gap)) <= _ROUNDING for gap in gaps.values()):
+        if _are_closed(gaps):
             break
         # Made where it is needed: of 50 bodies this program and the next take a second each, and most scenes that are
         # described at rest and closed need neither.

@@ -129,6 +129,8 @@ def usual_start(
     numbers = at.ideal.flat(known)
     ideal = at.structure_for(numbers)
     start = assemble_now(ideal, numbers)
+    if not start.displacement.any() and not start.rotation.any():
+        return KnownStart(start, ())
     far = far_from(largest_body(ideal, numbers), float(min(at.clearances.flat(known, unknown), default=np.inf)))
     shares = shares_of(np.asarray(start.displacement), np.asarray(start.rotation), far)
     return None if shares.max(initial=0.0) > 1 else KnownStart(start, ())

@@ -98,9 +98,21 @@ def known_tolerances(structure: Structure, theta: Float[np.ndarray, " p"], rtol:
     at = _measured_at(structure)
     if at is None:
         return None
-    vectors = [kind.flat(theta).reshape(-1, 3) for kind in at.vectors]
-    scales = _scales_of(np, vectors, at.clearances.flat(theta))
-    return _described(_numbers_of(at.kinds, scales, at.masses.flat(theta).tolist(), rtol), rtol, is_known=True)
+    parts = [*(kind.flat(theta) for kind in at.vectors), at.clearances.flat(theta)]
+    if at.depends_on_masses:
+        parts.append(at.masses.flat(theta))
+    return _tolerances_by(structure, tuple(part.tobytes() for part in parts), float(rtol))
+
+
+@lru_cache(maxsize=256)
+def _tolerances_by(structure: Structure, numbers: tuple[bytes, ...], rtol: float) -> Tolerances:
+    """Kept by the numbers that they are made of, which are few: a mass, or a law's number, is seldom among them."""
+    at = _measured_at(structure)
+    assert at is not None
+    *vectors, clearances = map(np.frombuffer, numbers[: len(at.vectors) + 1])
+    masses = np.frombuffer(numbers[-1]).tolist() if at.depends_on_masses else []
+    scales = _scales_of(np, [vector.reshape(-1, 3) for vector in vectors], clearances)
+    return _described(_numbers_of(at.kinds, scales, masses, rtol), rtol, is_known=True)
 
 
 class _Measured(NamedTuple):
@@ -116,6 +128,11 @@ class _Measured(NamedTuple):
     vectors: tuple[Picked, ...]
     clearances: Picked
     masses: Picked
+
+    @property
+    def depends_on_masses(self) -> bool:
+        """Whether an entry of the state is judged by an energy, a force or a moment."""
+        return bool(self.kinds.layout.n_work) or not {"force", "moment"}.isdisjoint(self.kinds.memory)
 
 
 @lru_cache(maxsize=64)
@@ -287,6 +304,12 @@ def length_and_energy(structure: Structure, theta: Any) -> tuple[Numeric, Numeri
 def _by_kind(layout: Layout, xp, position, quaternion, velocity, angular_velocity, memory, work) -> Float[Array, " n"]:
     """The flat vector with one number for each kind of component."""
     n = layout.n_bodies
+    if xp is np:  # without a dozen small arrays
+        flat = np.empty(layout.size)
+        q, v = flat[: layout.n_position].reshape(n, -1), flat[layout.n_position : layout.memory_start].reshape(n, -1)
+        q[:, :3], q[:, 3:], v[:, :3], v[:, 3:] = position, quaternion, velocity, angular_velocity
+        flat[layout.memory_start : layout.work_start], flat[layout.work_start :] = memory, work
+        return flat
     q = xp.concatenate([position * xp.ones((n, 3)), quaternion * xp.ones((n, 4))], 1).ravel()
     v = xp.concatenate([velocity * xp.ones((n, 3)), angular_velocity * xp.ones((n, 3))], 1).ravel()
     return xp.concatenate([q, v, memory * xp.ones(layout.n_memory), work * xp.ones(layout.n_work)])
