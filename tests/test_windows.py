@@ -33,7 +33,7 @@ PROGRAMS = (started, advance_window, integrated, observed, looked_up_at)
 def at_once(monkeypatch, make):
     """A run whose program is one for its number of samples."""
     with monkeypatch.context() as patched:
-        patched.setattr(one_run, "_are_known", lambda method, inputs: False)
+        patched.setattr(one_run, "_are_known", lambda *_: False)
         simulate._call.table.clear()
         run = make()
     simulate._call.table.clear()

@@ -72,6 +72,23 @@ class Picked:
         return is_picked
 
 
+def places_of_leaf(function: Callable[[Any], Any], tree: Any, leaves: list, at: int) -> tuple[Any, list[int]] | None:
+    """The structure of what a function returns, and the places of one leaf of its argument among the leaves of that;
+    None where the function does more with that leaf than to hand it on.
+
+    Args:
+        function: of this package's code alone.
+        tree, leaves: its argument, taken apart.
+        at: place of the leaf.
+    """
+    mark = _Number(at)
+    try:
+        returned, made = jax.tree.flatten(function(jax.tree.unflatten(tree, [*leaves[:at], mark, *leaves[at + 1 :]])))
+    except Exception:  # it asks for more than a mark can answer
+        return None
+    return made, [i for i, leaf in enumerate(returned) if leaf is mark]
+
+
 def picked(function: Callable[[System], Any], structure: Structure) -> Picked | None:
     """What a function picks; None for one that does more than that, and where user code may say what it does."""
     if structure.code or not is_own(structure.tree):

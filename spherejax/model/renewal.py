@@ -24,6 +24,7 @@ from jaxtyping import Array, Bool
 from spherejax.foundations.behind_tracers import known_behind
 from spherejax.foundations.checks import called, enforce, is_concrete, is_tracing
 from spherejax.foundations.errors import SceneError
+from spherejax.model.picking import places_of_leaf
 from spherejax.model.scene import Scene, scene_requirements
 from spherejax.model.system import (
     BodyGeometry,
@@ -136,10 +137,48 @@ class Compilation:
         if not all(_is_alike(self._values[i], reading.leaves[i]) for i in changed):
             return None
         parts = self._frame.parts_of(changed)
+        if parts is None:
+            return None
+        routes = [self._frame.routes.get((i, _kind_of(reading.leaves[i]))) for i in changed]
+        if None not in routes:
+            try:
+                return self._along(routes, parts, changed, reading)
+            except SceneError:
+                return None
         try:
-            return None if parts is None else self._renewed(parts, changed, reading.tree)
+            renewed = self._renewed(parts, changed, reading.tree)
         except SceneError:  # it is raised again, in its order
             return None
+        if renewed is not None:
+            self._frame.find_routes(changed, reading, renewed)
+        return renewed
+
+    def _along(
+        self, routes: list["_Route | None"], parts: list["_PlacesOfPart"], leaves: list[int], reading: KeyedTree
+    ) -> Renewed | None:
+        """What a scene calls for whose numbers go straight into the system: no part is placed."""
+        conditions = []
+        for part in parts:
+            if all(map(is_concrete, reading.leaves[part.described])):
+                described = self._frame.in_numpy(part, reading)
+                if not all(_holds(requirement.satisfied) for requirement in called(described, "requirements")):
+                    return None  # the error is raised by who compiles from the start
+            else:
+                conditions += _conditions_of(part, getattr(reading.tree, FIELDS[part.kind])[part.name])
+        if any(part.kind == "body" for part in parts) and not self._frame.is_for_masses_of(reading.tree):
+            return None
+        system, seen = list(self.system.leaves), list(self.seen.leaves)
+        changed = []
+        for route, i in zip(routes, leaves, strict=True):
+            assert route is not None
+            leaf = own(reading.leaves[i])
+            for at in route.placed:
+                system[at] = leaf
+            for at in route.seen:
+                seen[at] = leaf
+                changed.append(slice(at, at + 1))
+        trees = self.system.tree, self.seen.tree
+        return Renewed(Taken(system, trees[0]), Taken(seen, trees[1]), tuple(changed), True, conditions)
 
     def _renewed(self, parts: list["_PlacesOfPart"], leaves: list[int], scene: Scene) -> Renewed | None:
         system, seen = list(self.system.leaves), list(self.seen.leaves)
@@ -187,6 +226,18 @@ def _conditions_of(part: "_PlacesOfPart", described: Any) -> list[Bool[Array, ""
         if all(np.all(requirement.satisfied) for requirement in called(numbers, "requirements")):
             return []
     return enforce(f"{part.kind} {part.name!r}", called(described, "requirements"))
+
+
+def _holds(satisfied: Any) -> bool:
+    # NumPy's `all` takes 3 us of a number by itself, and there are dozens.
+    return bool(satisfied) if isinstance(satisfied, bool | np.bool_) else bool(np.all(satisfied))
+
+
+class _Route(NamedTuple):
+    """Where a number of a scene stands in the system and in that with laws by their factors, handed on as it is."""
+
+    placed: tuple[int, ...]
+    seen: tuple[int, ...]
 
 
 class _PlacesOfPart(NamedTuple):
@@ -282,6 +333,59 @@ class _SharedByScenes:
         said = _said_of_joint(placed) if part.kind == "joint" else _said_of_force(placed)
         return placed if said is not None and said == self._said[part.kind, part.name] else None
 
+    @cached_property
+    def routes(self) -> dict[tuple[int, type], _Route]:
+        """By the places of numbers among the leaves of a scene, and by their types."""
+        return {}
+
+    def in_numpy(self, part: _PlacesOfPart, reading: KeyedTree) -> Any:
+        """A part of a scene of known numbers; JAX takes ten times as long for each comparison."""
+        _, tree = _places(self._of[0])[FIELDS[part.kind], part.name]
+        leaves = reading.leaves[part.described]
+        return jax.tree.unflatten(tree, [np.asarray(x) if isinstance(x, jax.Array) else x for x in leaves])
+
+    def find_routes(self, leaves: list[int], reading: KeyedTree, renewed: Renewed) -> None:
+        """Find out which of the leaves that have changed are handed on as they are."""
+        for i in leaves:
+            k = self._part_of[i]
+            key = i, _kind_of(reading.leaves[i])
+            if k is None or key in self.routes:
+                continue
+            route = self._route_of(self._parts[k], i, reading)
+            # What is made of a number may be of another type, of which other scenes would differ.
+            if route is not None and all(
+                _are_same(taken.leaves[at], reading.leaves[i])
+                for taken, places in ((renewed.system, route.placed), (renewed.seen, route.seen))
+                for at in places
+            ):
+                self.routes[key] = route
+
+    def _route_of(self, part: _PlacesOfPart, leaf: int, reading: KeyedTree) -> _Route | None:
+        _, tree = _places(self._of[0])[FIELDS[part.kind], part.name]
+        leaves = reading.leaves[part.described]
+
+        def placed(described: Any) -> Any:
+            made = self.made(part, described, reading.tree)
+            if isinstance(getattr(made, "model", None), Lubricated):  # of a film there may be doubts
+                return None
+            return made
+
+        def points(described: Any) -> Any:
+            return [] if part.kind == "body" else getattr(placed(described), "points", ())
+
+        at = leaf - part.described.start
+        in_points = places_of_leaf(points, tree, leaves, at)
+        in_system = places_of_leaf(placed, tree, leaves, at)
+        in_seen = places_of_leaf(lambda described: with_laws_by_factor(placed(described)), tree, leaves, at)
+        if in_points is None or in_points[1] or in_system is None or in_seen is None:
+            return None
+        if in_system[0] != part.placed_tree or in_seen[0] != part.seen_tree:
+            return None
+        firsts = part.placed.start, part.seen.start
+        return _Route(
+            *(tuple(first + i for i in of[1]) for first, of in zip(firsts, (in_system, in_seen), strict=True))
+        )
+
     def is_for_masses_of(self, scene: Scene) -> bool:
         """Whether other masses and moments are as far apart as those before."""
         is_driven, *of_masses = self._masses
@@ -313,6 +417,16 @@ def _is_alike(old: tuple, new: Any) -> bool:
         return shape == ()
     is_array = type(new) in (np.float64, np.ndarray) or isinstance(new, jax.Array)  # tracers among these
     return is_array and new.shape == shape and new.dtype == np.float64
+
+
+def _kind_of(leaf: Any) -> type:
+    return type(leaf) if is_concrete(leaf) else jax.core.Tracer
+
+
+def _are_same(a: Any, b: Any) -> bool:
+    if a is b or type(a) is not type(b) or not is_concrete(a):
+        return a is b
+    return np.shape(a) == np.shape(b) and np.asarray(a).tobytes() == np.asarray(b).tobytes()
 
 
 def _said_of_joint(joint: Any) -> tuple | None:

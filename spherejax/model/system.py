@@ -400,7 +400,8 @@ def _moments(body: Body) -> Numeric:
 def _are_far_apart(values: list) -> bool:
     if not all(is_concrete(value) for value in values):
         return True
-    return bool(np.max(values) > LARGE_MASS_RATIO * np.min(values))
+    numbers = [number for value in values for number in np.asarray(value).ravel().tolist()]
+    return max(numbers) > LARGE_MASS_RATIO * min(numbers)
 
 
 def moving_body(body: Body) -> Body:
@@ -468,6 +469,10 @@ def flatten_system(system: System):
     return structure_and_numbers(leaves, tree)
 
 
+def _are_not_special(numbers: list[float]) -> bool:
+    return not any(number in SPECIAL_VALUES for number in numbers)
+
+
 def special_in(numbers: Float[np.ndarray, " n"]) -> list[tuple[int, float]]:
     """Which numbers are one of `SPECIAL_VALUES`, as (index, value)."""
     at = np.flatnonzero((numbers[:, None] == _SPECIAL).any(axis=1))
@@ -518,14 +523,20 @@ def numbers_renewed(
         changed: where leaves may differ.
     """
     known, starts, unknown = known.copy(), structure.starts, []
+    is_as_special = True
     for some in changed:
         for i, leaf in enumerate(leaves[some], some.start):
             first, last = starts[i], starts[i + 1]
             if is_concrete(leaf):
+                before = known[first:last].tolist()
                 known[first:last] = np.asarray(leaf, np.float64).ravel()
+                is_as_special = is_as_special and _are_not_special([*before, *known[first:last].tolist()])
             else:
+                is_as_special = False
                 known[first:last] = 0.0
                 unknown += range(first, last)
+    if is_as_special:
+        return structure, known, ()
     special = special_in(known)
     if unknown:
         special = [(i, value) for i, value in special if i not in set(unknown)]

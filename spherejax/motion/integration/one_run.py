@@ -64,21 +64,22 @@ def bound_run(plan: Plan, method: RunMethod, inputs: RunInputs) -> Callable[[], 
     """`run_of` these arguments, to be called again and again."""
     if method.stiff_rest is None:
         plan = for_one_run(plan, method.rest)
-    if inputs.ts.shape[0] > 2 and _are_known(method, inputs):
-        return _in_windows(plan, method, inputs)
+    of_method = jax.tree.leaves(method)
+    if inputs.ts.shape[0] > 2 and _are_known(method, of_method, inputs):
+        return _in_windows(plan, method, of_method, inputs)
     return integrated.bound(plan, method, inputs)
 
 
-def _are_known(method: RunMethod, inputs: RunInputs) -> bool:
+def _are_known(method: RunMethod, of_method: list, inputs: RunInputs) -> bool:
     """Whether a run is made now, from numbers, by a method that is known.
 
     Not where JAX looks for NaN and infinity in whatever a program returns: windows that are not full have both.
     """
-    is_known = all(map(is_concrete, jax.tree.leaves((method, inputs)))) and not is_tracing()
+    is_known = all(map(is_concrete, (*of_method, *jax.tree.leaves(inputs)))) and not is_tracing()
     return is_known and method.stiff_rest is None and not is_debugging()
 
 
-def _in_windows(plan: Plan, method: RunMethod, inputs: RunInputs) -> Callable[[], Outcome]:
+def _in_windows(plan: Plan, method: RunMethod, of_method: list, inputs: RunInputs) -> Callable[[], Outcome]:
     """A run of numbers, by programs that are the same for any number of samples."""
     times = np.asarray(inputs.ts)
     ends = times[[0, -1]]
@@ -89,20 +90,18 @@ def _in_windows(plan: Plan, method: RunMethod, inputs: RunInputs) -> Callable[[]
     start = _as_flying(plan, theta, float(times[0]), inputs.start)
     of_start = inputs._replace(ts=ends, start=start)
     programs = _window_programs(plan, method, of_start, window_at(times, 0))
-    of_method, of_inputs = jax.tree.leaves(method), jax.tree.leaves(of_start)
+    of_inputs = jax.tree.leaves(of_start)
 
     def run() -> Outcome:
-        nonlocal described
         with as_numbers():  # a run that is known is remembered, and may be asked for within a trace
             (vectors, forms), assembly = programs.begin([*of_method, *of_inputs])
-            if described is not None:
-                described = jnp.asarray(described)
         found: Any = None
 
         def go_on(vectors, *window):
-            if programs.advance is None:  # the forms are known now
-                programs.advance = advance_window.bound_form(plan, method, ends, forms, vectors, *window)
-            return programs.advance([*of_method, ends, *jax.tree.leaves(vectors), *window])
+            advance = programs.advance
+            if advance is None:  # the forms are known now
+                advance = programs.advance = advance_window.bound_form(plan, method, ends, forms, vectors, *window)
+            return advance([*of_method, ends, *jax.tree.leaves(vectors), *window])
 
         def samples() -> Iterator[tuple[int, Array]]:
             nonlocal vectors, found

@@ -277,7 +277,7 @@ def _with_tolerances(structure: Structure, solver: Same, tolerances: Same, max_s
     # By another scene's tolerances it is the same but for these: to make it takes fourteen times as long.
     leaves, tree, places = _taken_apart(structure, solver, max_steps, *map(np.shape, numbers))
     leaves = list(leaves)
-    for place, number in zip(places, map(jnp.asarray, numbers), strict=True):
+    for place, number in zip(places, numbers, strict=True):
         leaves[place] = number
     return jax.tree.unflatten(tree, leaves)
 

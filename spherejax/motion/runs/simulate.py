@@ -498,7 +498,8 @@ def reported(run: Trajectory, throw: bool, *, stacklevel: int = 3) -> Trajectory
 
 def _has_plainly_succeeded(run: Trajectory) -> bool:
     """Whether a run has, also within `jax.grad`, and there is nothing to say of it: mostly no more is looked at."""
-    known = known_behind((run.ended, run.stats.audit))
+    numbers = run.ended, run.stats.audit
+    known = [numbers] if all(map(is_concrete, numbers)) else known_behind(numbers)
     if len(known) != 1 or np.ndim(known[0][0]):
         return False
     ended, shares = known[0]

@@ -301,7 +301,9 @@ def length_and_energy(structure: Structure, theta: Any) -> tuple[Numeric, Numeri
     return length, jnp.sum(at.masses.within(theta)) * speed * speed
 
 
-def _by_kind(layout: Layout, xp, position, quaternion, velocity, angular_velocity, memory, work) -> Float[Array, " n"]:
+def _by_kind(
+    layout: Layout, xp, position, quaternion, velocity, angular_velocity, memory, work
+) -> Float[Array | np.ndarray, " n"]:
     """The flat vector with one number for each kind of component."""
     n = layout.n_bodies
     if xp is np:  # without a dozen small arrays
