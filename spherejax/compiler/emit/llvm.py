@@ -9,12 +9,16 @@ from typing import Any
 
 import numpy as np
 
+from spherejax.compiler.emit.llvm_sums import COLUMNS, DOT, ROW, Columns, Row, Sum, beside, loops_of
 from spherejax.compiler.native import ffi_abi
-from spherejax.compiler.operations import BOOL, DOUBLE, KINDS, OPERATIONS, WHOLE, Call
+from spherejax.compiler.operations import BOOL, DOUBLE, FLOAT, KINDS, OPERATIONS, WHOLE, Call
 
 LARGEST_FRAME = 2**18
 """Bytes of values that a function may have at once, at most: lanes are taken fewer at a time in larger programs, for a
 thread of XLA's pool has a stack of a few megabytes."""
+
+SMALLEST_WITH_LOOPS = 500
+"""Nodes of a line that is searched for long sums of products."""
 
 LANES_AT_A_TIME = 8
 """Numbers in the widest vectors there are, 512 bits."""
@@ -158,6 +162,10 @@ class FunctionText:
             if node not in self.place and self.graph.operations[node] == "input":
                 self.place[node] = self.graph.parameters[node]
         self.in_loop = False
+        # Over lanes, and for several runs, the values are vectors already.
+        is_alone = n_runs == 1 and not any(self.spread.values())
+        self.loops = loops_of(line, self.place) if is_alone and len(line.nodes) >= SMALLEST_WITH_LOOPS else None
+        self._arrays: dict[Any, str] = {}
         self._of_one = Numbers(self._made, self.declared, self._size(False))
         self._of_all_lanes = Numbers(self._made, self.declared, self._size(True))
 
@@ -232,6 +240,66 @@ class FunctionText:
         writer = self._of_all_lanes if is_wide else self._of_one
         return OPERATIONS[graph.operations[node]].in_llvm(writer, _call(graph, node), *values)
 
+    # Loops over vectors -----------------------------------------------------------------------------------------------
+
+    def _sum(self, parts: Sum) -> str:
+        total: str | None = None
+        for node in parts.rest:
+            total = self._added(total, self._value(node, False))
+        for dot in parts.dots:
+            self.declared[DOT] = None
+            pointers = f"ptr {self._entry(dot.first)}, ptr {self._array(dot.others)}"
+            total = self._added(total, self._made(f"call double @spherejax.dot({pointers}, i64 {len(dot.others)})"))
+        for columns, at in parts.columns:
+            pointer = self._made(f"getelementptr inbounds double, ptr {self._columns(columns)}, i64 {at}")
+            total = self._added(total, self._made(f"load double, ptr {pointer}, align 8"))
+        assert total is not None
+        return total
+
+    def _added(self, total: str | None, value: str) -> str:
+        return value if total is None else self._made(f"fadd contract double {total}, {value}")
+
+    def _columns(self, columns: Columns) -> str:
+        """A pointer to all of their sums, which are evaluated when the first of them is asked for."""
+        if columns not in self._arrays:
+            self.declared[COLUMNS] = None
+            matrix, factors = self._entry(columns.first), self._array(columns.others)
+            sums = self._room(columns.n)
+            self.lines.append(
+                f"  call void @spherejax.columns(ptr {matrix}, i64 {columns.stride}, ptr {factors}, "
+                f"i64 {len(columns.others)}, ptr {sums}, i64 {columns.n})"
+            )
+            self._arrays[columns] = sums
+        return self._arrays[columns]
+
+    def _write_row(self, row: Row, result: int, entry: int) -> None:
+        self.declared[ROW] = None
+        pointer = self._pointer(f"%r{result}", entry, FLOAT, False)
+        factor, others = self._value(row.factor, False), self._array(row.others)
+        self.lines.append(
+            f"  call void @spherejax.row(double {factor}, ptr {others}, ptr {pointer}, i64 {len(row.others)})"
+        )
+
+    def _array(self, nodes: tuple[int, ...]) -> str:
+        """A pointer to the values of nodes, side by side."""
+        if nodes not in self._arrays:
+            place = beside([self.place.get(node) for node in nodes])
+            if place is not None:
+                return self._entry(place)
+            array = self._room(len(nodes))
+            for i, node in enumerate(nodes):
+                pointer = self._made(f"getelementptr inbounds double, ptr {array}, i64 {i}")
+                self.lines.append(f"  store double {self._value(node, False)}, ptr {pointer}, align 8")
+            self._arrays[nodes] = array
+        return self._arrays[nodes]
+
+    def _entry(self, place: tuple[int, int]) -> str:
+        argument, entry = place
+        return self._pointer(f"%a{argument}", entry, FLOAT, False)
+
+    def _room(self, n: int) -> str:
+        return self._made(f"alloca [{n} x double], align 64")
+
     # The whole --------------------------------------------------------------------------------------------------------
 
     def written(self) -> str:
@@ -275,6 +343,11 @@ class FunctionText:
         for node in self.line.nodes:
             if bool(self.spread[node]) != is_wide:
                 continue
+            if self.loops is not None and node in self.loops.sums:
+                self.values[node] = self._sum(self.loops.sums[node])
+                continue
+            if self.loops is not None and node not in self.loops.written:
+                continue
             if node in self.place:
                 self.values[node] = self._read(node)
             elif self.graph.operations[node] != "constant":
@@ -282,8 +355,15 @@ class FunctionText:
         # With its own part: what is not over lanes is written once, ahead of the loop.
         for i, (output, spread) in enumerate(zip(self.line.outputs, self.outputs_spread, strict=True)):
             if bool(spread) == is_wide:
-                for entry, node in enumerate(output.ravel()):
-                    self._write(int(node), i, entry, is_wide)
+                entry, nodes = 0, output.ravel()
+                while entry < len(nodes):
+                    row = None if self.loops is None else self.loops.rows.get((i, entry))
+                    if row is None:
+                        self._write(int(nodes[entry]), i, entry, is_wide)
+                        entry += 1
+                    else:
+                        self._write_row(row, i, entry)
+                        entry += len(row.others)
 
     def _over_all_lanes(self) -> None:
         n_turns = -(-self.n_lanes // self.width)

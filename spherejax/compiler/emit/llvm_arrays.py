@@ -286,13 +286,21 @@ class ArrayText:
 
     # Entry by entry ---------------------------------------------------------------------------------------------------
 
-    def entrywise(self, shape: Sequence[int], kind: str, values: Sequence[Value], write: Callable[..., str]) -> Value:
+    def entrywise(
+        self,
+        shape: Sequence[int],
+        kind: str,
+        values: Sequence[Value],
+        write: Callable[..., str],
+        into: Value | None = None,
+    ) -> Value:
         """An array, a few entries at a time.
 
         Args:
             shape, kind: of the result.
             values: of this shape, or of one that spreads over it.
             write: from a width and the entries of each value to those of the result.
+            into: where it is put, which may be one of the values; None for a place of its own.
         """
         size = int(np.prod(shape, dtype=int))
         if size == 0:
@@ -303,7 +311,7 @@ class ArrayText:
             return Value(tuple(shape), kind, write(1, *(self.read(value) for value in values)))
         if size > self._largest_by_entry:
             raise TooManyEntriesError(f"an operation on {size} numbers")
-        target = self.array(shape, kind)
+        target = self.array(shape, kind) if into is None else into
 
         def write_chunk(at: int | str, width: int) -> None:
             self.write(target, at, write(width, *(self.read(value, at, width) for value in values)), width)

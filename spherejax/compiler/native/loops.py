@@ -8,7 +8,8 @@ machine code (stages of a step) by the frame that XLA would give them.
 What has no rule is left to XLA, as a whole loop (`loop_fusion`).
 """
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -36,7 +37,7 @@ from spherejax.compiler.emit.llvm_arrays import (
 from spherejax.compiler.lanes import by_a_loop
 from spherejax.compiler.native import compile as machine_code
 from spherejax.compiler.native import ffi_abi
-from spherejax.compiler.operations import INNER_PROGRAM, OF_PRIMITIVE
+from spherejax.compiler.operations import INNER_PROGRAM, OF_PRIMITIVE, OPERATIONS, Call
 from spherejax.compiler.primitive import is_called
 
 _loop = jex.Primitive("loop_in_machine_code")
@@ -200,8 +201,14 @@ class LoopText:
         """What stands for a constant."""
         return self.text.known(value)
 
-    def program(self, closed: Any, values: Sequence[Value]) -> list[Value]:
-        """The results of a program."""
+    def program(self, closed: Any, values: Sequence[Value], sums: Mapping[Any, Value] | None = None) -> list[Value]:
+        """The results of a program.
+
+        Args:
+            closed: the program.
+            values: of its arguments.
+            sums: slots of a loop to which results are added, as `_accumulated` finds them.
+        """
         jaxpr, constants = getattr(closed, "jaxpr", closed), getattr(closed, "consts", ())
         environment: dict[Any, Value] = dict(zip(jaxpr.constvars, map(self.constant, constants), strict=True))
         environment.update(zip(jaxpr.invars, values, strict=True))
@@ -213,7 +220,9 @@ class LoopText:
             return self.constant(np.asarray(atom.val, aval.dtype))
 
         for equation in jaxpr.eqns:
-            outputs = self.equation(equation, [read(atom) for atom in equation.invars])
+            slot = sums.get(equation.outvars[0]) if sums and equation.outvars else None
+            operands = [read(atom) for atom in equation.invars]
+            outputs = self.equation(equation, operands) if slot is None else [self._added_to(slot, operands)]
             environment.update(zip(equation.outvars, outputs, strict=True))
         return [read(atom) for atom in jaxpr.outvars]
 
@@ -269,11 +278,42 @@ class LoopText:
             raise NotWrittenError("a loop whose lanes end one by one")
         text.say(f"br i1 {text.read(goes_on)}, label %{turn}, label %{end}")
         text.lines.append(f"{turn}:")
-        following = self.program(parameters["body_jaxpr"], [*fixed, *map(self._held, carried)])
+        body = parameters["body_jaxpr"]
+        following = self.program(body, [*fixed, *map(self._held, carried)], self._accumulated(body, n_fixed, carried))
         self._carry(following, carried)
         text.say(f"br label %{look}")
         text.lines.append(f"{end}:")
         return [self._held(slot) for slot in carried]
+
+    def _accumulated(self, body: Any, n_fixed: int, carried: Sequence[Value]) -> dict[Any, Value]:
+        """Of a loop that adds to arrays that it carries, and reads them for nothing else: the sums, and their slots.
+
+        They are added in place: written elsewhere, they would have to be copied to their slots in each turn.
+        """
+        jaxpr = body.jaxpr
+        atoms = [atom for equation in jaxpr.eqns for atom in equation.invars] + jaxpr.outvars
+        n_uses = Counter(atom for atom in atoms if isinstance(atom, jex.Var))
+        made_by = {out: equation for equation in jaxpr.eqns for out in equation.outvars}
+        sums = {}
+        for slot, begin, end in zip(carried, jaxpr.invars[n_fixed:], jaxpr.outvars, strict=False):
+            made = made_by.get(end) if isinstance(end, jex.Var) else None
+            if made is None or made.primitive.name not in ("add", "add_any") or n_uses[begin] != 1:
+                continue
+            has_one_shape = all(atom.aval.shape == begin.aval.shape for atom in made.invars)
+            if begin in made.invars and has_one_shape and 1 < slot.size < self.text.large:
+                sums[end] = slot
+        return sums
+
+    def _added_to(self, slot: Value, operands: Sequence[Value]) -> Value:
+        """A sum of two arrays, one of which is in the slot, put there."""
+        held = self._held(slot)
+        call = Call((slot.kind, slot.kind), slot.kind, {})
+
+        def write(width: int, *names: str) -> str:
+            return OPERATIONS["add"].in_llvm(self.text.at(width), call, *names)
+
+        self.text.entrywise(slot.shape, slot.kind, operands, write, into=held)
+        return held
 
     def _slot(self, value: Value) -> Value:
         """Where a loop carries a value: a large array stays where it is."""
@@ -339,7 +379,9 @@ class LoopText:
         i = text.made(f"load i64, ptr {counter.name}, align 8")
         at = text.made(f"sub i64 {n - 1}, {i}") if parameters["reverse"] else i
         slices = [self._row(column, at) for column in columns]
-        outputs = self.program(parameters["jaxpr"], [*fixed, *map(self._held, carried), *slices])
+        body = parameters["jaxpr"]
+        sums = self._accumulated(body, n_fixed, carried)
+        outputs = self.program(body, [*fixed, *map(self._held, carried), *slices], sums)
         for row, value in zip(rows, outputs[n_carried:], strict=True):
             if value.size:
                 # At the index of the slices, of which the last one is the first turn where a scan is reversed.

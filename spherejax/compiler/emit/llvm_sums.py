@@ -1,0 +1,448 @@
+"""Long sums of products in a straight line, as loops over vectors: products of matrices that are arguments.
+
+A network of 64 x 64 weights is four thousand products and sums. Written one by one LLVM evaluates them number by number
+and takes seconds to compile them. Here three shapes are recognized in the graph, where they come from a product of a
+matrix with a vector, from its derivative, or from its transpose:
+
+    a dot      sum_k W_k b_k, in which the W_k stand side by side in an argument
+    columns    sums of the same b_k for places of W_k that follow each other: sum_k W_kj b_k, j = 0, 1, ...
+    rows       results a b_j that stand side by side
+
+A dot is summed in sixteen parts, so that it differs by rounding from a sum from left to right.
+"""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from spherejax.compiler.operations import FLOAT
+
+SHORTEST = 16
+"""Products that are a loop, at least: two vectors."""
+
+
+class Dot(NamedTuple):
+    """Products whose first factors stand side by side.
+
+    Attributes:
+        first: argument and entry of the first one.
+        others: nodes of the second factors.
+    """
+
+    first: tuple[int, int]
+    others: tuple[int, ...]
+
+
+class Columns(NamedTuple):
+    """Products of several sums, whose first factors are a distance apart.
+
+    Attributes:
+        first: argument and entry of the first one, of the first sum.
+        stride: distance of the next one, in the same sum.
+        others: nodes of the second factors.
+        n: how many sums; the first factors of the next sum stand beside those of this one.
+    """
+
+    first: tuple[int, int]
+    stride: int
+    others: tuple[int, ...]
+    n: int
+
+
+class Sum(NamedTuple):
+    """A node that is a sum.
+
+    Attributes:
+        dots: parts of it.
+        columns: parts of it, with the place among their sums.
+        rest: other nodes that are added.
+    """
+
+    dots: tuple[Dot, ...]
+    columns: tuple[tuple[Columns, int], ...]
+    rest: tuple[int, ...]
+
+
+class Row(NamedTuple):
+    """Results that are multiples of other nodes.
+
+    Attributes:
+        factor: a node.
+        others: nodes that it is multiplied with.
+        products: the results.
+    """
+
+    factor: int
+    others: tuple[int, ...]
+    products: tuple[int, ...]
+
+
+class Loops(NamedTuple):
+    """What is written as loops.
+
+    Attributes:
+        sums: by node.
+        rows: by result and its entry at which they begin.
+        written: nodes that are written one by one; arguments are read for them, and for `sums` and `rows`.
+    """
+
+    sums: dict[int, Sum]
+    rows: dict[tuple[int, int], Row]
+    written: frozenset[int]
+
+
+def loops_of(line: Any, place: Mapping[int, tuple[int, int]]) -> Loops:
+    """The loops of a line.
+
+    Args:
+        line: what is evaluated.
+        place: for nodes that are arguments, which one and which entry of it.
+    """
+    return _Search(line, place).loops()
+
+
+class _Search:
+    def __init__(self, line: Any, place: Mapping[int, tuple[int, int]]):
+        self.line, self.graph, self.place = line, line.graph, place
+        self.results = [[int(node) for node in output.ravel()] for output in line.outputs]
+        self.uses: Counter[int] = Counter(node for result in self.results for node in result)
+        for node in line.nodes:
+            if node not in place:
+                self.uses.update(self.graph.arguments[node])
+
+    def loops(self) -> Loops:
+        rows = self._rows()
+        sums, absorbed = self._sums()
+        for row in rows.values():
+            absorbed.update(row.products)
+        # From the results back: what is read by what is written.
+        in_rows = {(i, at + k) for (i, at), row in rows.items() for k in range(len(row.others))}
+        needed = {n for i, r in enumerate(self.results) for at, n in enumerate(r) if (i, at) not in in_rows}
+        for row in rows.values():
+            needed.update(self._read((row.factor,), row.others))
+        for node in reversed(self.line.nodes):
+            if node in sums:
+                parts = sums[node]
+                factors = [dot.others for dot in parts.dots] + [columns.others for columns, _ in parts.columns]
+                needed.update(self._read(parts.rest, *factors))
+            elif node in needed and node not in self.place:
+                needed.update(self.graph.arguments[node])
+        return Loops(sums, rows, frozenset(needed - absorbed))
+
+    def _read(self, nodes: Sequence[int], *factors: tuple[int, ...]) -> set[int]:
+        """Nodes that are read one by one, and factors that do not stand side by side in an argument."""
+        return set(nodes).union(*(others for others in factors if self._beside(others) is None))
+
+    def _beside(self, nodes: Sequence[int]) -> tuple[int, int] | None:
+        return beside([self.place.get(node) for node in nodes])
+
+    # Sums -------------------------------------------------------------------------------------------------------------
+
+    def _sums(self) -> tuple[dict[int, Sum], set[int]]:
+        """Sums with loops in them, and the nodes that need not be written for them."""
+        inner: set[int] = set()
+        parts: dict[int, tuple[list[tuple[Dot, list[int]]], list[tuple[Columns, list[int]]], list[int], list[int]]] = {}
+        for node in reversed(self.line.nodes):
+            if node in inner or not self._is("add", node):
+                continue
+            sums, terms = self._flat(node)
+            inner.update(sums)
+            products = [term for term in terms if self.uses[term] == 1 and self._is("mul", term)]
+            if len(products) < SHORTEST:
+                continue
+            dots, columns = self._runs(products)
+            if dots or columns:
+                taken = {product for _, run in [*dots, *columns] for product in run}
+                parts[node] = dots, columns, [term for term in terms if term not in taken], sums
+        together = self._together({node: columns for node, (_, columns, *_) in parts.items()})
+        found, absorbed = {}, set()
+        for node, (dots, columns, rest, sums) in parts.items():
+            of_columns, left = [], []
+            for own, run in columns:
+                if (node, own) in together:
+                    of_columns.append(together[node, own])
+                    absorbed.update(run)
+                else:
+                    left += run
+            if not dots and not of_columns:
+                continue
+            for _, run in dots:
+                absorbed.update(run)
+            absorbed.update(sums)
+            found[node] = Sum(tuple(dot for dot, _ in dots), tuple(of_columns), (*rest, *left))
+        return found, absorbed
+
+    def _is(self, operation: str, node: int) -> bool:
+        is_it = node not in self.place and self.graph.operations[node] == operation
+        return is_it and self.graph.dtypes[node] == FLOAT
+
+    def _flat(self, root: int) -> tuple[list[int], list[int]]:
+        """The additions that nobody reads but the next one, and what they add, in order."""
+        sums, terms, waiting = [], [], [root]
+        while waiting:
+            node = waiting.pop()
+            if node == root or (self.uses[node] == 1 and self._is("add", node)):
+                sums.append(node)
+                waiting += reversed(self.graph.arguments[node])
+            else:
+                terms.append(node)
+        return [node for node in sums if node != root], terms
+
+    def _runs(self, products: Sequence[int]) -> tuple[list[tuple[Dot, list[int]]], list[tuple[Columns, list[int]]]]:
+        """Products whose first factors are side by side, or the same distance apart in one argument."""
+        factors = sorted((*self._factors(product), product) for product in products if self._has_place(product))
+        dots, columns, begin = [], [], 0
+        while begin < len(factors):
+            argument, entry = factors[begin][0]
+            stride, end = 0, begin + 1
+            while end < len(factors) and factors[end][0][0] == argument:
+                step = factors[end][0][1] - factors[end - 1][0][1]
+                if step <= 0 or (stride and step != stride):
+                    break
+                stride, end = step, end + 1
+            run = factors[begin:end]
+            if len(run) >= SHORTEST:
+                others, nodes = tuple(other for _, other, _ in run), [product for *_, product in run]
+                if stride == 1:
+                    dots.append((Dot((argument, entry), others), nodes))
+                else:
+                    columns.append((Columns((argument, entry), stride, others, 0), nodes))
+                begin = end
+            else:
+                begin += 1
+        return dots, columns
+
+    def _has_place(self, product: int) -> bool:
+        return any(factor in self.place for factor in self.graph.arguments[product])
+
+    def _factors(self, product: int) -> tuple[tuple[int, int], int]:
+        """The place of one factor, and the other one: of two arguments the larger one is the matrix."""
+        a, b = self.graph.arguments[product]
+        sizes = [self._size(self.place[x][0]) if x in self.place else -1 for x in (a, b)]
+        first, other = (a, b) if sizes[0] >= sizes[1] else (b, a)
+        return self.place[first], other
+
+    def _size(self, argument: int) -> int:
+        n = len(self.line.shapes)
+        if argument < n:
+            return int(np.prod(self.line.shapes[argument]))
+        return int(self.line.residuals[argument - n].size)
+
+    def _together(self, own: Mapping[int, list[tuple[Columns, list[int]]]]) -> dict[tuple[int, Columns], tuple]:
+        """Columns of several sums that stand side by side: for each the whole and its place in it."""
+        by_others: dict[tuple, list[tuple[int, int, Columns]]] = {}
+        for node, columns in own.items():
+            for each, _ in columns:
+                key = each.first[0], each.stride, each.others
+                by_others.setdefault(key, []).append((each.first[1], node, each))
+        together = {}
+        for (argument, stride, others), members in by_others.items():
+            members.sort()
+            begin = 0
+            for end in range(1, len(members) + 1):
+                if end < len(members) and members[end][0] == members[end - 1][0] + 1:
+                    continue
+                if end - begin >= SHORTEST:
+                    whole = Columns((argument, members[begin][0]), stride, others, end - begin)
+                    for at, (_, node, each) in enumerate(members[begin:end]):
+                        together[node, each] = whole, at
+                begin = end
+        return together
+
+    # Rows -------------------------------------------------------------------------------------------------------------
+
+    def _rows(self) -> dict[tuple[int, int], Row]:
+        rows = {}
+        for i, result in enumerate(self.results):
+            at = 0
+            while at < len(result):
+                row = self._row(result, at)
+                if row is not None:
+                    rows[i, at] = row
+                at += 1 if row is None else len(row.others)
+        return rows
+
+    def _row(self, result: Sequence[int], at: int) -> Row | None:
+        common, end = self._product_only(result, at), at + 1
+        while end < len(result) and (both := common & self._product_only(result, end)):
+            common, end = both, end + 1
+        if end - at < SHORTEST:
+            return None
+        factor = min(common)
+        others = []
+        for node in result[at:end]:
+            a, b = self.graph.arguments[node]
+            others.append(b if a == factor else a)
+        return Row(factor, tuple(others), tuple(result[at:end]))
+
+    def _product_only(self, result: Sequence[int], at: int) -> set[int]:
+        """The factors of a result that is a product, and that nothing else reads."""
+        node = result[at]
+        return set(self.graph.arguments[node]) if self.uses[node] == 1 and self._is("mul", node) else set()
+
+
+def beside(places: Sequence[tuple[int, int] | None]) -> tuple[int, int] | None:
+    """The first of some places that stand side by side in an argument; None where they do not."""
+    first = places[0]
+    if first is None or any(at != (first[0], first[1] + i) for i, at in enumerate(places)):
+        return None
+    return first
+
+
+# Text -----------------------------------------------------------------------------------------------------------------
+
+DOT = """\
+define internal double @spherejax.dot(ptr %a, ptr %b, i64 %n) nounwind {
+work:
+  %whole = and i64 %n, -16
+  br label %loop
+loop:
+  %i = phi i64 [0, %work], [%i.next, %loop]
+  %s0 = phi <8 x double> [zeroinitializer, %work], [%t0, %loop]
+  %s1 = phi <8 x double> [zeroinitializer, %work], [%t1, %loop]
+  %j = add nuw nsw i64 %i, 8
+  %p.a0 = getelementptr inbounds double, ptr %a, i64 %i
+  %p.b0 = getelementptr inbounds double, ptr %b, i64 %i
+  %p.a1 = getelementptr inbounds double, ptr %a, i64 %j
+  %p.b1 = getelementptr inbounds double, ptr %b, i64 %j
+  %a0 = load <8 x double>, ptr %p.a0, align 8
+  %b0 = load <8 x double>, ptr %p.b0, align 8
+  %a1 = load <8 x double>, ptr %p.a1, align 8
+  %b1 = load <8 x double>, ptr %p.b1, align 8
+  %m0 = fmul contract <8 x double> %a0, %b0
+  %m1 = fmul contract <8 x double> %a1, %b1
+  %t0 = fadd contract <8 x double> %s0, %m0
+  %t1 = fadd contract <8 x double> %s1, %m1
+  %i.next = add nuw nsw i64 %i, 16
+  %goes.on = icmp ult i64 %i.next, %whole
+  br i1 %goes.on, label %loop, label %parts
+parts:
+  %eight = fadd <8 x double> %t0, %t1
+  %low4 = shufflevector <8 x double> %eight, <8 x double> poison, <4 x i32> <i32 0, i32 1, i32 2, i32 3>
+  %high4 = shufflevector <8 x double> %eight, <8 x double> poison, <4 x i32> <i32 4, i32 5, i32 6, i32 7>
+  %four = fadd <4 x double> %low4, %high4
+  %low2 = shufflevector <4 x double> %four, <4 x double> poison, <2 x i32> <i32 0, i32 1>
+  %high2 = shufflevector <4 x double> %four, <4 x double> poison, <2 x i32> <i32 2, i32 3>
+  %two = fadd <2 x double> %low2, %high2
+  %one = extractelement <2 x double> %two, i64 0
+  %other = extractelement <2 x double> %two, i64 1
+  %sum = fadd double %one, %other
+  br label %look
+look:
+  %k = phi i64 [%whole, %parts], [%k.next, %turn]
+  %s = phi double [%sum, %parts], [%s.next, %turn]
+  %is.more = icmp ult i64 %k, %n
+  br i1 %is.more, label %turn, label %end
+turn:
+  %p.a = getelementptr inbounds double, ptr %a, i64 %k
+  %p.b = getelementptr inbounds double, ptr %b, i64 %k
+  %x = load double, ptr %p.a, align 8
+  %y = load double, ptr %p.b, align 8
+  %m = fmul contract double %x, %y
+  %s.next = fadd contract double %s, %m
+  %k.next = add nuw nsw i64 %k, 1
+  br label %look
+end:
+  ret double %s
+}
+"""
+"""From (a, b, n), n at least 16, to the sum of n products."""
+
+
+def _in_blocks(widths: Sequence[int], turn: Any, end: str = "  ret void") -> str:
+    """Loops over entries 0 to %m in blocks of these widths, each as far as it goes; the last one is 1.
+
+    Args:
+        widths: of blocks, the widest first.
+        turn: from a width and a prefix for names to the lines of a block that begins at the entry %j.prefix, and the
+            name of the label that it ends in.
+        end: the last line.
+    """
+    lines, before, begin = [], "work", "0"
+    for width in widths:
+        p = f"w{width}"
+        text, last = turn(width, p)
+        lines += [
+            f"  br label %look.{p}",
+            f"look.{p}:",
+            f"  %j.{p} = phi i64 [{begin}, %{before}], [%end.{p}, %{last}]",
+            f"  %end.{p} = add nuw nsw i64 %j.{p}, {width}",
+            f"  %fits.{p} = icmp ule i64 %end.{p}, %m",
+            f"  br i1 %fits.{p}, label %turn.{p}, label %behind.{p}",
+            f"turn.{p}:",
+            *text,
+            f"  br label %look.{p}",
+            f"behind.{p}:",
+        ]
+        before, begin = f"behind.{p}", f"%j.{p}"
+    return "\n".join([*lines, end, "}", ""])
+
+
+def _vector(width: int) -> str:
+    return f"<{width} x double>" if width > 1 else "double"
+
+
+def _spread(name: str, width: int) -> list[str]:
+    """`name.v`: the number `name` in all entries of a vector."""
+    kind = _vector(width)
+    if width == 1:
+        return [f"  {name}.v = fadd double {name}, 0.0"]
+    return [
+        f"  {name}.i = insertelement {kind} poison, double {name}, i64 0",
+        f"  {name}.v = shufflevector {kind} {name}.i, {kind} poison, <{width} x i32> zeroinitializer",
+    ]
+
+
+def _column_block(width: int, p: str) -> tuple[list[str], str]:
+    kind, zero = _vector(width), "zeroinitializer" if width > 1 else "0.0"
+    lines = [
+        f"  br label %over.{p}",
+        f"over.{p}:",
+        f"  %k.{p} = phi i64 [0, %turn.{p}], [%k.next.{p}, %over.{p}]",
+        f"  %s.{p} = phi {kind} [{zero}, %turn.{p}], [%t.{p}, %over.{p}]",
+        f"  %row.{p} = mul nuw nsw i64 %k.{p}, %stride",
+        f"  %at.{p} = add nuw nsw i64 %row.{p}, %j.{p}",
+        f"  %p.w.{p} = getelementptr inbounds double, ptr %w, i64 %at.{p}",
+        f"  %p.b.{p} = getelementptr inbounds double, ptr %b, i64 %k.{p}",
+        f"  %x.{p} = load {kind}, ptr %p.w.{p}, align 8",
+        f"  %b.{p} = load double, ptr %p.b.{p}, align 8",
+        *_spread(f"%b.{p}", width),
+        f"  %m.{p} = fmul contract {kind} %x.{p}, %b.{p}.v",
+        f"  %t.{p} = fadd contract {kind} %s.{p}, %m.{p}",
+        f"  %k.next.{p} = add nuw nsw i64 %k.{p}, 1",
+        f"  %goes.on.{p} = icmp ult i64 %k.next.{p}, %n",
+        f"  br i1 %goes.on.{p}, label %over.{p}, label %sum.{p}",
+        f"sum.{p}:",
+        f"  %p.y.{p} = getelementptr inbounds double, ptr %y, i64 %j.{p}",
+        f"  store {kind} %t.{p}, ptr %p.y.{p}, align 8",
+    ]
+    return lines, f"sum.{p}"
+
+
+COLUMNS = (
+    "define internal void @spherejax.columns("
+    "ptr %w, i64 %stride, ptr %b, i64 %n, ptr noalias %y, i64 %m) nounwind {\nwork:\n"
+) + _in_blocks((32, 8, 1), _column_block)
+"""From (W, its stride, b, n, y, m) to y_j = sum_k W_kj b_k, for m of them."""
+
+
+def _row_block(width: int, p: str) -> tuple[list[str], str]:
+    kind = _vector(width)
+    lines = [
+        f"  %p.b.{p} = getelementptr inbounds double, ptr %b, i64 %j.{p}",
+        f"  %p.y.{p} = getelementptr inbounds double, ptr %y, i64 %j.{p}",
+        f"  %b.{p} = load {kind}, ptr %p.b.{p}, align 8",
+        f"  %m.{p} = fmul contract {kind} %b.{p}, %a.{'v' if width > 1 else 'one'}",
+        f"  store {kind} %m.{p}, ptr %p.y.{p}, align 8",
+    ]
+    return lines, f"turn.{p}"
+
+
+ROW = (
+    "define internal void @spherejax.row(double %a.one, ptr %b, ptr noalias %y, i64 %m) nounwind {\nwork:\n"
+    "  %a.i = insertelement <8 x double> poison, double %a.one, i64 0\n"
+    "  %a.v = shufflevector <8 x double> %a.i, <8 x double> poison, <8 x i32> zeroinitializer\n"
+) + _in_blocks((8, 1), _row_block)
+"""From (a, b, y, m) to y_j = a b_j, for m of them."""
