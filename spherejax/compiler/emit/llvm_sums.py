@@ -293,8 +293,9 @@ def beside(places: Sequence[tuple[int, int] | None]) -> tuple[int, int] | None:
 
 # Text -----------------------------------------------------------------------------------------------------------------
 
+# Not inlined: with sixty copies of a loop in one function LLVM takes five seconds, and with as many calls a tenth.
 DOT = """\
-define internal double @spherejax.dot(ptr %a, ptr %b, i64 %n) nounwind {
+define internal double @spherejax.dot(ptr %a, ptr %b, i64 %n) noinline nounwind {
 work:
   %whole = and i64 %n, -16
   br label %loop
@@ -423,7 +424,7 @@ def _column_block(width: int, p: str) -> tuple[list[str], str]:
 
 COLUMNS = (
     "define internal void @spherejax.columns("
-    "ptr %w, i64 %stride, ptr %b, i64 %n, ptr noalias %y, i64 %m) nounwind {\nwork:\n"
+    "ptr %w, i64 %stride, ptr %b, i64 %n, ptr noalias %y, i64 %m) noinline nounwind {\nwork:\n"
 ) + _in_blocks((32, 8, 1), _column_block)
 """From (W, its stride, b, n, y, m) to y_j = sum_k W_kj b_k, for m of them."""
 
@@ -441,7 +442,7 @@ def _row_block(width: int, p: str) -> tuple[list[str], str]:
 
 
 ROW = (
-    "define internal void @spherejax.row(double %a.one, ptr %b, ptr noalias %y, i64 %m) nounwind {\nwork:\n"
+    "define internal void @spherejax.row(double %a.one, ptr %b, ptr noalias %y, i64 %m) noinline nounwind {\nwork:\n"
     "  %a.i = insertelement <8 x double> poison, double %a.one, i64 0\n"
     "  %a.v = shufflevector <8 x double> %a.i, <8 x double> poison, <8 x i32> zeroinitializer\n"
 ) + _in_blocks((8, 1), _row_block)
