@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from spherejax.compiler.emit.llvm_sums import COLUMNS, DOT, ROW, Columns, Row, Sum, beside, loops_of
+from spherejax.compiler.emit.llvm_sums import COLUMNS, DOT, ROW, Columns, MultipleRow, WeightedSum, beside, loops_of
 from spherejax.compiler.native import ffi_abi
 from spherejax.compiler.operations import BOOL, DOUBLE, FLOAT, KINDS, OPERATIONS, WHOLE, Call
 
@@ -242,7 +242,7 @@ class FunctionText:
 
     # Loops over vectors -----------------------------------------------------------------------------------------------
 
-    def _sum(self, parts: Sum) -> str:
+    def _sum(self, parts: WeightedSum) -> str:
         total: str | None = None
         for node in parts.rest:
             total = self._added(total, self._value(node, False))
@@ -272,7 +272,7 @@ class FunctionText:
             self._arrays[columns] = sums
         return self._arrays[columns]
 
-    def _write_row(self, row: Row, result: int, entry: int) -> None:
+    def _write_row(self, row: MultipleRow, result: int, entry: int) -> None:
         self.declared[ROW] = None
         pointer = self._pointer(f"%r{result}", entry, FLOAT, False)
         factor, others = self._value(row.factor, False), self._array(row.others)

@@ -51,7 +51,7 @@ class Columns(NamedTuple):
     n: int
 
 
-class Sum(NamedTuple):
+class WeightedSum(NamedTuple):
     """A node that is a sum.
 
     Attributes:
@@ -65,7 +65,7 @@ class Sum(NamedTuple):
     rest: tuple[int, ...]
 
 
-class Row(NamedTuple):
+class MultipleRow(NamedTuple):
     """Results that are multiples of other nodes.
 
     Attributes:
@@ -88,8 +88,8 @@ class Loops(NamedTuple):
         written: nodes that are written one by one; arguments are read for them, and for `sums` and `rows`.
     """
 
-    sums: dict[int, Sum]
-    rows: dict[tuple[int, int], Row]
+    sums: dict[int, WeightedSum]
+    rows: dict[tuple[int, int], MultipleRow]
     written: frozenset[int]
 
 
@@ -100,10 +100,10 @@ def loops_of(line: Any, place: Mapping[int, tuple[int, int]]) -> Loops:
         line: what is evaluated.
         place: for nodes that are arguments, which one and which entry of it.
     """
-    return _Search(line, place).loops()
+    return _LoopSearch(line, place).loops()
 
 
-class _Search:
+class _LoopSearch:
     def __init__(self, line: Any, place: Mapping[int, tuple[int, int]]):
         self.line, self.graph, self.place = line, line.graph, place
         self.results = [[int(node) for node in output.ravel()] for output in line.outputs]
@@ -140,7 +140,7 @@ class _Search:
 
     # Sums -------------------------------------------------------------------------------------------------------------
 
-    def _sums(self) -> tuple[dict[int, Sum], set[int]]:
+    def _sums(self) -> tuple[dict[int, WeightedSum], set[int]]:
         """Sums with loops in them, and the nodes that need not be written for them."""
         inner: set[int] = set()
         parts: dict[int, tuple[list[tuple[Dot, list[int]]], list[tuple[Columns, list[int]]], list[int], list[int]]] = {}
@@ -171,7 +171,7 @@ class _Search:
             for _, run in dots:
                 absorbed.update(run)
             absorbed.update(sums)
-            found[node] = Sum(tuple(dot for dot, _ in dots), tuple(of_columns), (*rest, *left))
+            found[node] = WeightedSum(tuple(dot for dot, _ in dots), tuple(of_columns), (*rest, *left))
         return found, absorbed
 
     def _is(self, operation: str, node: int) -> bool:
@@ -253,7 +253,7 @@ class _Search:
 
     # Rows -------------------------------------------------------------------------------------------------------------
 
-    def _rows(self) -> dict[tuple[int, int], Row]:
+    def _rows(self) -> dict[tuple[int, int], MultipleRow]:
         rows = {}
         for i, result in enumerate(self.results):
             at = 0
@@ -264,7 +264,7 @@ class _Search:
                 at += 1 if row is None else len(row.others)
         return rows
 
-    def _row(self, result: Sequence[int], at: int) -> Row | None:
+    def _row(self, result: Sequence[int], at: int) -> MultipleRow | None:
         common, end = self._product_only(result, at), at + 1
         while end < len(result) and (both := common & self._product_only(result, end)):
             common, end = both, end + 1
@@ -275,7 +275,7 @@ class _Search:
         for node in result[at:end]:
             a, b = self.graph.arguments[node]
             others.append(b if a == factor else a)
-        return Row(factor, tuple(others), tuple(result[at:end]))
+        return MultipleRow(factor, tuple(others), tuple(result[at:end]))
 
     def _product_only(self, result: Sequence[int], at: int) -> set[int]:
         """The factors of a result that is a product, and that nothing else reads."""
