@@ -3,8 +3,9 @@
     python benchmarks/other_numbers.py     # one minute
 
 The dry four-bar, 0.1 s, 51 samples: the same scene, another clearance (the scene built anew, or changed by
-`eqx.tree_at`), another mass, and the gradient by the clearance. Time of a call, median of 100, and calls of Python
-functions in it; each number is another one.
+`eqx.tree_at`), another mass, and the gradient by the clearance; and what JAX takes for that gradient without a run:
+another scene, a product, a row, a sum. Time of a call, median of 100, and calls of Python functions in it; each number
+is another one.
 """
 
 import cProfile
@@ -37,6 +38,14 @@ def run(scene: sj.Scene) -> sj.Trajectory:
 
 
 GRADIENT = jax.grad(lambda clearance: jnp.sum(run(with_clearance(clearance)).position("rocker")[-1]))
+ROWS = jnp.ones((len(TS), 3))
+
+
+@jax.grad
+def without_run(clearance):
+    return jnp.sum((with_clearance(clearance).joints["coupler_rocker"].model.clearance * ROWS)[-1])
+
+
 CLEARANCES = [1e-4 * (1 + 1e-4 * i) for i in range(130)]
 CASES: dict[str, tuple[Callable, list]] = {
     "the same scene": (run, [SCENE] * 130),
@@ -44,6 +53,7 @@ CASES: dict[str, tuple[Callable, list]] = {
     "another clearance, tree_at": (run, [with_clearance(clearance) for clearance in CLEARANCES]),
     "another mass, tree_at": (run, [with_mass(0.1 * (1 + 1e-4 * i)) for i in range(130)]),
     "gradient by the clearance": (GRADIENT, CLEARANCES),
+    "gradient without a run": (without_run, CLEARANCES),
 }
 
 

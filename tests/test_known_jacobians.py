@@ -11,6 +11,7 @@ from test_nested_derivatives import ALONG, AT, ONE, exact, place
 
 import spherejax as sj
 from spherejax.motion.derivatives import known_jacobians, sensitivities
+from spherejax.motion.runs import preparation
 
 SLOPES = jax.grad(exact)
 
@@ -65,6 +66,23 @@ def test_numbers_behind_two_transformations_are_not_taken_for_known():
     looked_at(2.0)
     assert seen == [2.0, *[None] * (len(seen) - 1)]
     assert len(seen) == 7
+
+
+def test_numbers_of_two_transformations_are_not_taken_for_those_of_one():
+    seen = []
+
+    def looked_at(mass, speed):
+        body = sj.Body(mass, (1e-3,) * 3, velocity=jnp.stack([speed, 0.0, 0.0]))
+        seen.append(preparation.prepared(sj.Scene({"body": body}), False, None).values_behind)
+        return mass * speed
+
+    jax.grad(looked_at)(2.0, 0.3)
+    jax.grad(looked_at, (0, 1))(2.0, 0.3)
+    jax.grad(lambda mass: jax.grad(looked_at, 1)(mass, 0.3))(2.0)
+    alone, both, apart = seen
+    np.testing.assert_array_equal(alone, [2.0])
+    np.testing.assert_array_equal(both, [2.0, 0.3, 0.0, 0.0])
+    assert apart is None
 
 
 def test_a_run_that_fails_has_no_derivatives():

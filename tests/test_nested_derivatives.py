@@ -55,6 +55,9 @@ NESTINGS = {
     "vjp of jvp": lambda f: jax.vjp(lambda p: jax.jvp(f, (p,), (ALONG,))[1], AT)[1](1.0)[0],
     "jvp of jvp": lambda f: jax.jvp(lambda p: jax.jvp(f, (p,), (ALONG,))[1], (AT,), (ALONG,))[1],
     "grad of grad along": lambda f: jax.grad(lambda p: jax.grad(f)(p) @ ALONG)(AT),
+    "grad by one number of grad by another": lambda f: jax.grad(lambda k: jax.grad(lambda m: f((k, m, AT[2])))(AT[1]))(
+        AT[0]
+    ),
     "vmap of hessian": lambda f: jax.vmap(jax.hessian(f))(MANY),
     "grad of vmap of jacrev": lambda f: jax.grad(lambda s: of_many(jax.jacrev(f))(s) @ ALONG)(ONE),
     "jacfwd of vmap of grad": lambda f: jax.jacfwd(of_many(jax.grad(f)))(ONE),

@@ -159,12 +159,15 @@ class Compilation:
         """What a scene calls for whose numbers go straight into the system: no part is placed."""
         conditions = []
         for part in parts:
-            if all(map(is_concrete, reading.leaves[part.described])):
-                described = self._frame.in_numpy(part, reading)
-                if not all(_holds(requirement.satisfied) for requirement in called(described, "requirements")):
-                    return None  # the error is raised by who compiles from the start
-            else:
-                conditions += _conditions_of(part, getattr(reading.tree, FIELDS[part.kind])[part.name])
+            of_part = reading.leaves[part.described]
+            behind = known_behind(of_part)
+            if len(behind) == 1 and (behind[0] is of_part or not is_tracing()):
+                described = self._frame.in_numpy(part, behind[0])
+                if all(_holds(requirement.satisfied) for requirement in called(described, "requirements")):
+                    continue
+            # An error is raised, in its order, by who compiles from the start.
+            described = getattr(reading.tree, FIELDS[part.kind])[part.name]
+            conditions += enforce(f"{part.kind} {part.name!r}", called(described, "requirements"))
         if any(part.kind == "body" for part in parts) and not self._frame.is_for_masses_of(reading.tree):
             return None
         system, seen = list(self.system.leaves), list(self.seen.leaves)
@@ -338,10 +341,9 @@ class _SharedByScenes:
         """By the places of numbers among the leaves of a scene, and by their types."""
         return {}
 
-    def in_numpy(self, part: _PlacesOfPart, reading: KeyedTree) -> Any:
-        """A part of a scene of known numbers; JAX takes ten times as long for each comparison."""
+    def in_numpy(self, part: _PlacesOfPart, leaves: list) -> Any:
+        """A part of a scene, of leaves that are known; JAX takes ten times as long for each comparison."""
         _, tree = _places(self._of[0])[FIELDS[part.kind], part.name]
-        leaves = reading.leaves[part.described]
         return jax.tree.unflatten(tree, [np.asarray(x) if isinstance(x, jax.Array) else x for x in leaves])
 
     def find_routes(self, leaves: list[int], reading: KeyedTree, renewed: Renewed) -> None:

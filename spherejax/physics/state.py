@@ -53,6 +53,13 @@ class Layout(NamedTuple):
         """Length of the flat state."""
         return self.work_start + self.n_work
 
+    def columns(self, name: str, body: int) -> tuple[int, int]:
+        """Where the position, quaternion, velocity or angular velocity of a body begins, and where it ends."""
+        first, last = {"position": (0, 3), "quaternion": (3, 7), "velocity": (0, 3), "angular_velocity": (3, 6)}[name]
+        is_place = name in ("position", "quaternion")
+        start = POSITION_SIZE * body if is_place else self.n_position + VELOCITY_SIZE * body
+        return start + first, start + last
+
 
 class State(NamedTuple):
     """The state by name; leading axes (samples, lanes) are allowed.

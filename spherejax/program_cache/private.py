@@ -8,7 +8,7 @@ prints for the installed version which of these parts are missing, and what that
 import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import cache
 from importlib.metadata import version
 from tempfile import TemporaryDirectory
@@ -37,6 +37,15 @@ except ImportError:
     def is_outside_of_transformations() -> bool:
         """Whether no transformation of JAX is under way; False where JAX does not say."""
         return False
+
+
+try:
+    from jax._src.core import eval_context as outside_of_transformations
+except ImportError:
+
+    def outside_of_transformations() -> AbstractContextManager:
+        """A context in which no transformation of JAX is under way; any context where JAX has none."""
+        return nullcontext()
 
 
 def n_devices(context: Any) -> int:
@@ -121,6 +130,18 @@ def _says_what_it_loads() -> bool:
                 compilation_cache.reset_cache()  # or JAX would write to the folder that is deleted now
 
 
+def _can_step_outside() -> bool:
+    are_outside = []
+
+    def probe(x: Any) -> Any:
+        with outside_of_transformations():
+            are_outside.append(is_outside_of_transformations())
+        return x
+
+    jax.grad(probe)(1.0)
+    return are_outside == [True]
+
+
 def _says_how_many_devices() -> bool:
     counts = []
     # Only a lowering rule gets the context. An abstract mesh stands for two devices that this process need not have.
@@ -145,6 +166,11 @@ PARTS: Sequence[tuple[str, str, Callable[[], bool]]] = (
         "whether a transformation is under way",
         "5 us more for each question whether a program is traced",
         is_outside_of_transformations,
+    ),
+    (
+        "a context outside of transformations",
+        "0.3 ms more for each program that is called with numbers within jax.grad",
+        _can_step_outside,
     ),
     (
         "the number of devices of a program",

@@ -114,7 +114,13 @@ class CompiledProgram:
             return self._run(*numbers)
         # Nothing is compiled any more, so that nobody has to be told what takes so long.
         if self.has_been_called:
-            return self.program(*numbers)
+            program = self.program
+            # A function of `jax.jit` within another one becomes a part of that.
+            if program is self.jitted or private.is_outside_of_transformations():
+                return program(*numbers)
+            # Within `jax.grad` JAX takes another way to a compiled program, of 700 calls of Python.
+            with private.outside_of_transformations():
+                return program(*numbers)
         with settings.current().compiling(self._what[0], self.name):
             program = self.program
             # Of a program that is not on disk, JAX traces and compiles at this call.

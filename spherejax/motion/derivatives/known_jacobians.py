@@ -19,7 +19,7 @@ from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 from jaxtyping import Array, Float
 
-from spherejax.foundations.checks import is_concrete
+from spherejax.foundations.checks import is_concrete, is_tracing
 
 
 def primal_alone(x: Any) -> Any:
@@ -38,11 +38,25 @@ def with_derivatives(x: Any, results: Sequence, along: Callable[[Any], Sequence]
     """Results that are known, as functions of x.
 
     Args:
-        x: an array, traced, for whose number `primal_alone` is an answer.
+        x: an array, traced, for whose number `primal_alone` is an answer: one alone, for the rule cannot see whether
+            several are traced by the same transformation.
         results: floating-point arrays of numbers.
         along: their derivatives along a tangent of x, linear in that.
     """
     return _with_derivatives.bind(x, *results, along=along)
+
+
+def columns_of(array: Array, first: int, last: int) -> Array | None:
+    """Columns of an array, the last axis, where the numbers behind it can be looked at; None elsewhere."""
+    primal = primal_alone(array)
+    if primal is None or is_tracing():
+        return None
+
+    def along(tangent: Array) -> list[Array]:
+        return [jax.lax.slice_in_dim(tangent, first, last, axis=primal.ndim - 1)]
+
+    (columns,) = with_derivatives(array, [primal[..., first:last]], along)
+    return columns
 
 
 def _results(x: Any, *results: Any, along: Callable) -> list:
@@ -121,7 +135,13 @@ def _times_differentiated(primals: Sequence, tangents: Sequence) -> tuple[list, 
 def _transposed(cotangents: Sequence, tangent: Any, *jacobians: Any) -> list:
     pairs = zip(cotangents, jacobians, strict=True)
     moving = [(y, jacobian) for y, jacobian in pairs if type(y) is not ad.Zero]
-    back = _sum_of_products(*map(list, zip(*moving, strict=True))) if moving else ad.Zero(tangent.aval)
+    if not moving:
+        back: Any = ad.Zero(tangent.aval)
+    elif all(map(is_concrete, (*jacobians, *(y for y, _ in moving)))):
+        products = [np.tensordot(np.asarray(y), np.asarray(jacobian), np.ndim(y)) for y, jacobian in moving]
+        back = jnp.asarray(np.sum(products, axis=0))
+    else:
+        back = _sum_of_products(*map(list, zip(*moving, strict=True)))
     return [back, *(None for _ in jacobians)]
 
 

@@ -33,7 +33,7 @@ from spherejax.program_cache import cached_jit
 
 
 def integrate_with_sensitivities(
-    plan: Plan, method: RunMethod, inputs: RunInputs, abrupt: tuple[str, ...] = ()
+    plan: Plan, method: RunMethod, inputs: RunInputs, abrupt: tuple[str, ...] = (), traced: Any = None
 ) -> Outcome:
     """As `run_of`, differentiable in forward and in reverse mode: by the traced numbers and by the sample times.
 
@@ -47,7 +47,11 @@ def integrate_with_sensitivities(
     Args:
         plan, method, inputs: as of `run_of`.
         abrupt: names of contacts that Rosenbrock methods do not differentiate well; see `through_touches`.
+        traced: the array that the caller traces, where the values of `inputs`, as all of these, are the numbers behind
+            it; None where these values are what is traced.
     """
+    if traced is not None:
+        return _with_known_derivatives(plan, method, traced, inputs, abrupt)
     if not plan.unknown and not plan.from_state and is_concrete(inputs.ts):
         return run_of(plan, method, inputs)
     numbers = _numbers_behind(method, inputs)
@@ -188,19 +192,21 @@ def _numbers_behind(method: RunMethod, inputs: RunInputs) -> RunInputs | None:
 
 
 def _with_known_derivatives(
-    plan: Plan, method: RunMethod, values: Any, numbers: RunInputs, abrupt: tuple[str, ...]
+    plan: Plan, method: RunMethod, traced: Any, numbers: RunInputs, abrupt: tuple[str, ...]
 ) -> Outcome:
     """The outcome of a run whose derivatives are computed with it, by the numbers behind what the caller traces.
 
     Args:
         plan, method, abrupt: as of `integrate_with_sensitivities`.
-        values: what the caller traces.
-        numbers: of the run.
+        traced: the array that the caller traces.
+        numbers: of the run, those behind the traced array among them.
     """
     has_touches = bool(example_of(plan.structure).touching_forces)
     if has_touches:  # an error where a force jumps at its touch; all numbers are known
         any_jump(plan.structure.system(plan.theta_of(numbers)))
     warn_of_rosenbrock(abrupt, method.solver)
+    # Of a start that is known already there are no derivatives: it is no function of the numbers.
+    n = None if numbers.start is None or plan.from_state else 2
     if _goes_back(plan):
         outcome = run_of(plan, method, numbers)
         arrays, others = eqx.partition(method, eqx.is_array)
@@ -208,8 +214,8 @@ def _with_known_derivatives(
         has_succeeded = int(outcome.status) == Status.SUCCEEDED
 
         def along(tangent: Array) -> list:
-            ys_dot, assembly = along_all(tangent)
-            return [ys_dot, ys_dot[-1] if has_succeeded else jnp.full_like(ys_dot[-1], jnp.nan), *assembly]
+            ys_dot, assembly = along_all(jnp.ravel(tangent))
+            return [ys_dot, ys_dot[-1] if has_succeeded else jnp.full_like(ys_dot[-1], jnp.nan), *assembly][:n]
 
     else:
         scale = plan.scales(numbers.values)
@@ -217,17 +223,18 @@ def _with_known_derivatives(
         outcome = run.outcome
         ys, assembly = _unscaled((run.slopes, run.assembly_slopes), scale)
         has_succeeded = int(outcome.status) == Status.SUCCEEDED
-        jacobians = [ys, ys[-1] if has_succeeded else np.full_like(ys[-1], np.nan), *assembly]
+        jacobians = [ys, ys[-1] if has_succeeded else np.full_like(ys[-1], np.nan), *assembly][:n]
 
         def along(tangent: Array) -> list:
-            return times_jacobians(tangent, *jacobians)
+            return times_jacobians(jnp.ravel(tangent), *jacobians)
 
-    results = [outcome.ys, outcome.y_reached, *outcome.assembly]
-    ys, y_reached, *assembly = with_derivatives(values, results, along)
+    results = [outcome.ys, outcome.y_reached, *outcome.assembly][:n]
+    ys, y_reached, *assembly = with_derivatives(traced, results, along)
     t_reached = outcome.t_reached
     if not has_succeeded:
-        (t_reached,) = with_derivatives(values, [t_reached], lambda tangent: [jnp.nan * jnp.sum(tangent)])
-    return Outcome(ys, t_reached, y_reached, outcome.status, outcome.stats, Assembly(*assembly))
+        (t_reached,) = with_derivatives(traced, [t_reached], lambda tangent: [jnp.nan * jnp.sum(tangent)])
+    start = Assembly(*assembly) if assembly else outcome.assembly
+    return Outcome(ys, t_reached, y_reached, outcome.status, outcome.stats, start)
 
 
 MANY = 32

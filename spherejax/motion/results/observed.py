@@ -12,6 +12,7 @@ from jax.flatten_util import ravel_pytree
 
 from spherejax.foundations.checks import is_concrete
 from spherejax.foundations.numerics import safe_norm
+from spherejax.motion.derivatives.known_jacobians import columns_of
 from spherejax.motion.equations.observables import Observation, looked_up, observe
 from spherejax.motion.equations.programs import program_for
 from spherejax.motion.integration.row_blocks import as_numbers, in_blocks
@@ -30,6 +31,20 @@ def state_of(layout: Layout, ys) -> State:
 # Each a function of its own within a trace: under `jax.grad`, outside of `jax.jit`, each of its ten operations would
 # take 0.3 ms, a third of the time of a gradient by one number.
 _unpacked = partial(jax.jit, static_argnums=0)(unpack)
+
+
+def motion_of_body(layout: Layout, ys, name: str, body: int):
+    """Position, quaternion, velocity or angular velocity of one body, by its number, of all states."""
+    first, last = layout.columns(name, body)
+    if is_concrete(ys):
+        return _taken(lambda ys: ys[..., first:last], ys)
+    columns = columns_of(ys, first, last)
+    return _columns(ys, first, last) if columns is None else columns
+
+
+@partial(jax.jit, static_argnums=(1, 2))
+def _columns(ys, first: int, last: int):
+    return ys[..., first:last]
 
 
 def body_of(quantity, body: int):

@@ -36,7 +36,14 @@ from spherejax.motion.results.global_error import GlobalError, floor_of, usual_l
 from spherejax.motion.results.impacts import Peak, impacts, peak
 from spherejax.motion.results.modes import modes
 from spherejax.motion.results.motion_state import MotionState
-from spherejax.motion.results.observed import body_of, lengths_of, looked_up_of, observation_of, state_of
+from spherejax.motion.results.observed import (
+    body_of,
+    lengths_of,
+    looked_up_of,
+    motion_of_body,
+    observation_of,
+    state_of,
+)
 from spherejax.motion.results.reported import Reported
 from spherejax.motion.results.spectra import spectrum
 from spherejax.motion.results.steps import Steps, steps_of
@@ -310,19 +317,19 @@ class Trajectory(eqx.Module, Reported):
 
     def position(self, body: str) -> Float[Array, "n 3"]:
         """Center of mass of a body, world axes [m]."""
-        return body_of(self.state.position, self._body(body))
+        return motion_of_body(self.system.layout, self.ys, "position", self._body(body))
 
     def quaternion(self, body: str) -> Float[Array, "n 4"]:
         """Orientation of a body, unit quaternion, scalar first."""
-        return body_of(self.state.quaternion, self._body(body))
+        return motion_of_body(self.system.layout, self.ys, "quaternion", self._body(body))
 
     def velocity(self, body: str) -> Float[Array, "n 3"]:
         """Velocity of a body's center of mass, world axes [m/s]."""
-        return body_of(self.state.velocity, self._body(body))
+        return motion_of_body(self.system.layout, self.ys, "velocity", self._body(body))
 
     def angular_velocity(self, body: str) -> Float[Array, "n 3"]:
         """Angular velocity of a body, world axes [rad/s]."""
-        return body_of(self.state.angular_velocity, self._body(body))
+        return motion_of_body(self.system.layout, self.ys, "angular_velocity", self._body(body))
 
     # Observables -------------------------------------------------------------------------------------------------
 

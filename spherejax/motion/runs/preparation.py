@@ -14,7 +14,7 @@ import jax
 import numpy as np
 
 from spherejax.foundations.behind_tracers import known_behind
-from spherejax.foundations.checks import is_tracing
+from spherejax.foundations.checks import is_concrete, is_tracing
 from spherejax.foundations.types import Numeric
 from spherejax.model.renewal import Compilation, Taken, traced_places
 from spherejax.model.scene import Scene
@@ -29,6 +29,7 @@ from spherejax.model.system import (
     traced_numbers,
     with_laws_by_factor,
 )
+from spherejax.motion.derivatives.known_jacobians import primal_alone
 from spherejax.motion.equations.programs import path_of
 from spherejax.motion.solvers.automatic import SolverChoice, choice_by_structure, choose_solver
 from spherejax.motion.start.doubts import doubts_of
@@ -89,6 +90,21 @@ class PreparedScene:
     def values(self) -> Any:
         """The numbers that are not known, in their order."""
         return traced_numbers(self.taken.leaves) if self.unknown else np.zeros(0)
+
+    @cached_property
+    def traced(self) -> Any:
+        """The one array that these are the numbers of: that of the scene where it is alone, else their vector."""
+        traced = [leaf for leaf in self.taken.leaves if not is_concrete(leaf)]
+        # Of arrays of several transformations a vector is traced by all of these, which the arrays do not show.
+        return traced[0] if len(traced) == 1 else self.values
+
+    @cached_property
+    def values_behind(self) -> Any:
+        """The numbers behind what is traced; None where more than one `jax.jvp` or `jax.grad` traces."""
+        if not self.unknown:
+            return np.zeros(0)
+        primal = None if is_tracing() else primal_alone(self.traced)
+        return None if primal is None else np.asarray(primal, np.float64).ravel()
 
     @cached_property
     def seen(self) -> System:
@@ -218,7 +234,8 @@ def scene_tolerances(scene: PreparedScene, rtol: Any) -> Tolerances:
 @memoized(N_ANSWERS, _by_scene)
 def _tolerances_of_whole(scene: PreparedScene, rtol: Any) -> Tolerances:
     # A run and its derivative are judged by the same numbers: those behind the tracers of `jvp` and `grad`.
-    behind = known_behind((scene.values, rtol))
+    values = scene.values if scene.values_behind is None else scene.values_behind
+    behind = known_behind((values, rtol))
     if len(behind) == 1:
         values, known = behind[0]
         theta = scene.known.copy()

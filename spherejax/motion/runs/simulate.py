@@ -287,7 +287,10 @@ def call_of(prepared_scene: PreparedScene, carried: CarriedStart | None, ts, set
     if carried is not None:
         conditions += carried.conditions
     values_are_legal = jnp.all(jnp.stack(conditions)) if conditions else np.array(True)
-    values = prepared_scene.values
+    numbers = None if carried is not None or not by_sensitivities else prepared_scene.values_behind
+    if numbers is not None and not all(map(is_concrete, jax.tree.leaves((method, ts, assembly, values_are_legal)))):
+        numbers = None
+    values = prepared_scene.values if numbers is None else numbers
     begun_with = assembly
     if from_state and carried is not None and assembly is not None:
         values = jnp.concatenate([jnp.asarray(values), carried.y])
@@ -305,7 +308,8 @@ def call_of(prepared_scene: PreparedScene, carried: CarriedStart | None, ts, set
     elif unknown or from_state or not is_concrete(ts):
         # An explicit method has nothing to say of them.
         abrupt = () if is_explicit(choice.solver) else abrupt_contacts(prepared_scene.system())
-        outcome_of = partial(integrate_with_sensitivities, plan, method, inputs, abrupt)
+        traced = None if numbers is None else prepared_scene.traced
+        outcome_of = partial(integrate_with_sensitivities, plan, method, inputs, abrupt, traced)
     else:
         outcome_of = bound_run(plan, method, inputs)
     bound = bound_in_words(prepared_scene.structure, path.scalar)
