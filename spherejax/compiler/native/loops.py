@@ -26,6 +26,8 @@ from spherejax.compiler.emit.llvm import FunctionText, head
 from spherejax.compiler.emit.llvm_arrays import (
     LARGE,
     LARGEST_COPIED,
+    LARGEST_STACK,
+    LARGEST_STACK_OF_MANY,
     ArrayText,
     Memory,
     NotWrittenError,
@@ -124,7 +126,8 @@ class LoopText:
 
     def __init__(self, parameters: Any, avals: Sequence[Any], results: Sequence[Any], large: int = LARGE):
         self.parameters, self.avals, self.results = parameters, avals, results
-        self.text = ArrayText(large=large)
+        stack = LARGEST_STACK if large == LARGE else LARGEST_STACK_OF_MANY
+        self.text = ArrayText(large=large, largest_stack=stack)
         self.called: dict[str, None] = {}
         self.in_place: list[tuple[int, int]] = []
         self._calls_arrays = False
