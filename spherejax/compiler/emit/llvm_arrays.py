@@ -20,8 +20,8 @@ LARGE = 4096
 LARGEST_COPIED = 2**15
 """The same limit, of a loop that computes with such arrays entry by entry: derivatives by the weights of a network.
 
-By 4,417 weights the way back takes two thirds of the time that XLA's loop takes. Its stack (`LARGEST_STACK_OF_MANY`) has
-room for some 17,000."""
+A gradient by 4,417 weights takes two thirds of the time that it takes with a loop of XLA's. The stack of such a loop
+(`LARGEST_STACK_OF_MANY`) has room for some 17,000."""
 
 LARGEST_WRITTEN_OUT = 1024
 """Entries of an array that operations are written out for, at most; for more, and fewer than `LARGE`, there are loops.

@@ -105,15 +105,25 @@ class Tableau(NamedTuple):
         return jax.lax.fori_loop(0, n if n_made is None else n_made, with_stage, jnp.zeros((n, *y.shape), y.dtype))
 
     def unrolled_stages(
-        self, rate: Callable[[Array, Array], Array], t: Array, h: Array, y: Array, bend: Array | None
+        self,
+        rate: Callable[[Array, Array], Array],
+        t: Array,
+        h: Array,
+        y: Array,
+        bend: Array | None,
+        known: Sequence[Array] = (),
     ) -> list[Array]:
         """The increments of an explicit step of one run, as `stages` returns them, with the loop over stages unrolled.
 
         Each stage reads the increments with non-zero weights alone. In reverse mode their cotangents are accumulated
         one by one; in the loop of `stages` each stage passes through the cotangents of all increments.
+
+        Args:
+            rate, t, h, y, bend: as of `stages`.
+            known: the first increments, if they have been evaluated.
         """
-        k: list[Array] = []
-        for row, instant in zip(self.A, self.c, strict=True):
+        k = [*known]
+        for row, instant in zip(self.A[len(k) :], self.c[len(k) :], strict=True):
             k.append(_increment(rate, t, h, h, instant, _moved(row, y, k), bend))
         return k
 

@@ -343,8 +343,10 @@ class _StepsBack:
 
     def __init__(self, plan: Plan, method: RunMethod, rate: Program, parameters: Parameters, ts, by_ys):
         self.parameters, self.ts, self.by_ys = parameters, ts, by_ys
-        # Cumulative sums of |dg/dy| over the samples: the sum over the samples of one step is a difference of two.
+        # Cumulative sums of |dg/dy| over the samples: the sum over the samples of one step is a difference of two. Most
+        # losses look at few of the samples, or at few times: how many of them are differentiated is counted as well.
         self.weights = jnp.pad(jnp.cumsum(jnp.abs(by_ys), axis=0), ((1, 0), (0, 0)))
+        self.n_differentiated = jnp.pad(jnp.cumsum(jnp.any(by_ys != 0, axis=1)), (1, 0))
         self.rate = lambda t, y, parameters: rate.inside(parameters.theta, parameters.ahead, t, y)
         self.correct, self.event = correction_for(plan), event_of(plan, rate)
         self.corrects_by_numbers = self.correct is not None and correction_reads_parameters(plan.structure, plan.scalar)
@@ -359,7 +361,11 @@ class _StepsBack:
         self.tolerances = _Tolerances(*(jnp.asarray(getattr(controller, name, 0.0)) for name in ("rtol", "atol")))
         self.unrolls_stages = sum(leaf.size for leaf in jax.tree.leaves(parameters)) <= LARGEST_UNROLLED
         if self.is_explicit:
-            self.tableau = explicit_tableau(solver.tableau, len(solver.tableau.b_sol), [solver.tableau.b_sol])
+            weights = solver.tableau.b_sol
+            # Stages behind these are for states inside a step alone: the fourteenth of Dopri8.
+            n_of_end = int(np.flatnonzero(weights)[-1]) + 1
+            self.tableau = explicit_tableau(solver.tableau, n_of_end, [weights])
+            self.with_stages_inside = explicit_tableau(solver.tableau, len(weights), ())
         else:
             self.solver = differentiable_solver(solver, plan.structure)
 
@@ -412,30 +418,19 @@ class _StepsBack:
             by_state, i = carry
             return by_state + self.by_ys[i], i - 1
 
-        def is_inside(carry):
-            *_, i = carry
+        def is_inside(i):
             return (i >= 0) & (ts[jnp.clip(i, 0, last)] > t)
 
-        def with_inside(carry):
-            *so_far, i = carry
-            # Most losses look at few of the samples, or at few times.
-            return (
-                *jax.lax.cond(
-                    jnp.any(self.by_ys[i] != 0),
-                    partial(self._sample_back, t, size, bend, inside),
-                    lambda i, *so_far: tuple(so_far),
-                    i,
-                    *so_far,
-                ),
-                i - 1,
-            )
-
-        by_end, i = jax.lax.while_loop(is_at_end, with_end, (sweep.by_state, sweep.sample))
+        by_end, first = jax.lax.while_loop(is_at_end, with_end, (sweep.by_state, sweep.sample))
+        i = jax.lax.while_loop(is_inside, lambda i: i - 1, first)
         none = jax.tree.map(jnp.zeros_like, inside)
-        # Only the correction of samples may read numbers: where it does not, thousands of them are not carried along.
-        moved = (none, sweep.by_numbers) if self.corrects_by_numbers else (none,)
-        by_inside, *corrected, i = jax.lax.while_loop(is_inside, with_inside, (*moved, i))
-        (by_numbers,) = corrected or (sweep.by_numbers,)
+        by_numbers, by_inside = jax.lax.cond(
+            self.n_differentiated[first + 1] > self.n_differentiated[i + 1],
+            partial(self._samples_back, t, size, bend, inside, first, i),
+            lambda *same: same,
+            sweep.by_numbers,
+            none,
+        )
         more, by_state = back((by_end, by_inside))
         added = self.weights[sweep.sample + 1] - self.weights[i + 1]
         scale = sweep.scale + added @ self.tolerances.sizes(y_next)
@@ -446,10 +441,7 @@ class _StepsBack:
     def _made(self, parameters, t, size, y, bend) -> tuple[Array, dict[str, Any]]:
         """The end of a step, before what happens there, and what states inside it are made from."""
         if self.is_explicit:
-
-            def rate(t, y):
-                return self.rate(t, y, parameters)
-
+            rate = self._rate_by(parameters)
             if self.unrolls_stages:
                 k = self.tableau.unrolled_stages(rate, t, size, y, bend)
             else:
@@ -459,6 +451,46 @@ class _StepsBack:
         term = diffrax.ODETerm(self.rate)
         end, _, inside, *_ = self.solver.step(term, t, t + size, y, parameters, None, jnp.array(False))
         return end, inside
+
+    def _samples_back(self, t, size, bend, inside, first, behind, by_numbers, by_inside) -> tuple:
+        """The derivatives by samples inside a step, added to those by the numbers and by the stages of its end.
+
+        Args:
+            t, size: where the step begins, and how long it is [s].
+            bend: of its time.
+            inside: what `_made` returns.
+            first, behind: the last of the samples, and the first one before the step.
+            by_numbers, by_inside: the derivatives so far.
+        """
+        if self.is_explicit and len(self.with_stages_inside.c) > len(self.tableau.c):
+
+            def completed(parameters, inside):
+                known = [*inside["k"]]
+                k = self.with_stages_inside.unrolled_stages(
+                    self._rate_by(parameters), t, size, inside["y0"], bend, known
+                )
+                return {**inside, "k": jnp.stack(k)}
+
+            whole, back = jax.vjp(completed, self.parameters, inside)
+        else:
+            whole, back = inside, None
+        none = jax.tree.map(jnp.zeros_like, whole)
+        # Only the correction of samples may read numbers: where it does not, thousands of them are not carried along.
+        so_far = (none, by_numbers) if self.corrects_by_numbers else (none,)
+
+        def with_sample(carry):
+            *so_far, i = carry
+            return (*self._sample_back(t, size, bend, whole, i, *so_far), i - 1)
+
+        by_whole, *corrected, _ = jax.lax.while_loop(lambda carry: carry[-1] > behind, with_sample, (*so_far, first))
+        (by_numbers,) = corrected or (by_numbers,)
+        if back is not None:
+            more, by_whole = back(by_whole)
+            by_numbers = jax.tree.map(jnp.add, by_numbers, more)
+        return by_numbers, jax.tree.map(jnp.add, by_inside, by_whole)
+
+    def _rate_by(self, parameters: Parameters) -> Callable:
+        return lambda t, y: self.rate(t, y, parameters)
 
     def _sample_back(self, t, size, bend, inside, i, by_inside, by_numbers=None) -> tuple:
         """The derivatives by one sample, added to those by the stages of its step, and to those by numbers if given."""
