@@ -13,6 +13,7 @@ import pstats
 import statistics
 import time
 from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -43,7 +44,8 @@ ROWS = jnp.ones((len(TS), 3))
 
 @jax.grad
 def without_run(clearance):
-    return jnp.sum((with_clearance(clearance).joints["coupler_rocker"].model.clearance * ROWS)[-1])
+    joint: Any = with_clearance(clearance).joints["coupler_rocker"]
+    return jnp.sum((joint.model.clearance * ROWS)[-1])
 
 
 CLEARANCES = [1e-4 * (1 + 1e-4 * i) for i in range(130)]

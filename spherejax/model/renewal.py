@@ -19,13 +19,12 @@ from typing import Any, NamedTuple
 import jax
 import jax.core
 import numpy as np
-from jaxtyping import Array, Bool
 
 from spherejax.foundations.behind_tracers import known_behind
 from spherejax.foundations.checks import called, enforce, is_concrete, is_tracing
 from spherejax.foundations.errors import SceneError
 from spherejax.model.picking import places_of_leaf
-from spherejax.model.scene import Scene, scene_requirements
+from spherejax.model.scene import Scene, all_hold, conditions_of, scene_requirements
 from spherejax.model.system import (
     BodyGeometry,
     System,
@@ -163,7 +162,7 @@ class Compilation:
             behind = known_behind(of_part)
             if len(behind) == 1 and (behind[0] is of_part or not is_tracing()):
                 described = self._frame.in_numpy(part, behind[0])
-                if all(_holds(requirement.satisfied) for requirement in called(described, "requirements")):
+                if all_hold(called(described, "requirements")):
                     continue
             # An error is raised, in its order, by who compiles from the start.
             described = getattr(reading.tree, FIELDS[part.kind])[part.name]
@@ -194,7 +193,7 @@ class Compilation:
             changed.append(slice(by_factor, by_factor + 1))
         for part in parts:
             described: Any = getattr(scene, FIELDS[part.kind])[part.name]
-            conditions += _conditions_of(part, described)
+            conditions += conditions_of(f"{part.kind} {part.name!r}", described)
             made = self._frame.made(part, described, scene)
             if made is None:
                 return None
@@ -215,25 +214,6 @@ class Compilation:
         if isinstance(getattr(joint, "model", None), Lubricated) or not all(map(is_concrete, places)):
             return True
         return not all(map(np.array_equal, before.points, joint.points))
-
-
-def _conditions_of(part: "_PlacesOfPart", described: Any) -> list[Bool[Array, ""]]:
-    """Raise `SceneError` where a part is not legal; return the conditions that nobody can look at now.
-
-    Those of `jax.grad` and `jax.jvp` outside `jax.jit` are looked at behind their tracers: as operations of JAX they
-    took a sixth of what a call of a gradient does besides its run.
-    """
-    behind = known_behind(described)
-    if len(behind) == 1 and behind[0] is not described and not is_tracing():
-        numbers = jax.tree.map(lambda leaf: np.asarray(leaf) if isinstance(leaf, jax.Array) else leaf, behind[0])
-        if all(np.all(requirement.satisfied) for requirement in called(numbers, "requirements")):
-            return []
-    return enforce(f"{part.kind} {part.name!r}", called(described, "requirements"))
-
-
-def _holds(satisfied: Any) -> bool:
-    # NumPy's `all` takes 3 us of a number by itself, and there are dozens.
-    return bool(satisfied) if isinstance(satisfied, bool | np.bool_) else bool(np.all(satisfied))
 
 
 class _Route(NamedTuple):
