@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from spherejax.compiler import native_code, scalarize
-from spherejax.compiler.emit import llvm
+from spherejax.compiler.emit import llvm_sums
 from spherejax.compiler.emit.llvm import FunctionText
 from spherejax.compiler.emit.llvm_sums import SHORTEST
 
@@ -14,7 +14,7 @@ from spherejax.compiler.emit.llvm_sums import SHORTEST
 @pytest.fixture(autouse=True)
 def on(monkeypatch):
     """In lines of any size."""
-    monkeypatch.setattr(llvm, "SMALLEST_WITH_LOOPS", 0)
+    monkeypatch.setattr(llvm_sums, "FEWEST", 0)
     with native_code():
         if not native_code.is_enabled():
             pytest.skip("no machine code with this jaxlib, or without llvmlite")

@@ -17,9 +17,6 @@ LARGEST_FRAME = 2**18
 """Bytes of values that a function may have at once, at most: lanes are taken fewer at a time in larger programs, for a
 thread of XLA's pool has a stack of a few megabytes."""
 
-SMALLEST_WITH_LOOPS = 500
-"""Nodes of a line that is searched for long sums of products."""
-
 LANES_AT_A_TIME = 8
 """Numbers in the widest vectors there are, 512 bits."""
 
@@ -164,7 +161,7 @@ class FunctionText:
         self.in_loop = False
         # Over lanes, and for several runs, the values are vectors already.
         is_alone = n_runs == 1 and not any(self.spread.values())
-        self.loops = loops_of(line, self.place) if is_alone and len(line.nodes) >= SMALLEST_WITH_LOOPS else None
+        self.loops = loops_of(line, self.place) if is_alone else None
         self._arrays: dict[Any, str] = {}
         self._of_one = Numbers(self._made, self.declared, self._size(False))
         self._of_all_lanes = Numbers(self._made, self.declared, self._size(True))

@@ -22,6 +22,10 @@ from spherejax.compiler.operations import FLOAT
 SHORTEST = 16
 """Products that are a loop, at least: two vectors."""
 
+FEWEST = 200
+"""Products in loops of a line, at least. Mechanisms have a sum of some twenty here and there; a loop would gain nothing,
+and its sums differ by rounding from those of the same line for many runs, which has no loops."""
+
 
 class Dot(NamedTuple):
     """Products whose first factors stand side by side.
@@ -92,15 +96,26 @@ class Loops(NamedTuple):
     rows: dict[tuple[int, int], MultipleRow]
     written: frozenset[int]
 
+    @property
+    def n_products(self) -> int:
+        """How many products there are in the loops."""
+        parts = [
+            part for parts in self.sums.values() for part in (*parts.dots, *(columns for columns, _ in parts.columns))
+        ]
+        return sum(len(part.others) for part in (*parts, *self.rows.values()))
 
-def loops_of(line: Any, place: Mapping[int, tuple[int, int]]) -> Loops:
-    """The loops of a line.
+
+def loops_of(line: Any, place: Mapping[int, tuple[int, int]]) -> Loops | None:
+    """The loops of a line; None where they are not worth it.
 
     Args:
         line: what is evaluated.
         place: for nodes that are arguments, which one and which entry of it.
     """
-    return _LoopSearch(line, place).loops()
+    if len(line.nodes) < FEWEST:
+        return None
+    loops = _LoopSearch(line, place).loops()
+    return loops if loops.n_products >= FEWEST else None
 
 
 class _LoopSearch:
