@@ -23,8 +23,8 @@ SHORTEST = 16
 """Products that are a loop, at least: two vectors."""
 
 FEWEST = 200
-"""Products in loops of a line, at least. Mechanisms have a sum of some twenty here and there; a loop would gain nothing,
-and its sums differ by rounding from those of the same line for many runs, which has no loops."""
+"""Products in loops of a line, at least. Mechanisms have a sum of some twenty here and there: a loop gains nothing there,
+and its sum differs by rounding from that of the same line for many runs, which has no loops."""
 
 
 class Dot(NamedTuple):
