@@ -23,8 +23,8 @@ SHORTEST = 16
 """Products that are a loop, at least: two vectors."""
 
 FEWEST = 200
-"""Products in loops of a line, at least. Mechanisms have a sum of some twenty here and there: a loop gains nothing there,
-and its sum differs by rounding from that of the same line for many runs, which has no loops."""
+"""Products in loops of a line, at least. Mechanisms have a sum of some twenty here and there: a loop gains nothing, and
+its sum differs by rounding from that of the same line for many runs, which has no loops."""
 
 
 class Dot(NamedTuple):
@@ -99,10 +99,8 @@ class Loops(NamedTuple):
     @property
     def n_products(self) -> int:
         """How many products there are in the loops."""
-        parts = [
-            part for parts in self.sums.values() for part in (*parts.dots, *(columns for columns, _ in parts.columns))
-        ]
-        return sum(len(part.others) for part in (*parts, *self.rows.values()))
+        of_sums = [part for total in self.sums.values() for part in (*total.dots, *(c for c, _ in total.columns))]
+        return sum(len(part.others) for part in (*of_sums, *self.rows.values()))
 
 
 def loops_of(line: Any, place: Mapping[int, tuple[int, int]]) -> Loops | None:
