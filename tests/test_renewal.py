@@ -11,10 +11,17 @@ import numpy as np
 import pytest
 
 import spherejax as sj
+from spherejax.foundations.behind_tracers import known_behind
 from spherejax.foundations.errors import SceneError
 from spherejax.model.picking import picked
 from spherejax.model.renewal import Compilation, Taken
-from spherejax.model.system import compile_scene, structure_and_numbers, with_laws_by_factor
+from spherejax.model.system import (
+    compile_scene,
+    numbers_apart,
+    numbers_renewed,
+    structure_and_numbers,
+    with_laws_by_factor,
+)
 from spherejax.motion.integration.problem import RunMethod
 from spherejax.motion.runs import preparation
 from spherejax.motion.runs import simulate as simulating
@@ -117,8 +124,81 @@ def test_each_number_that_changes_makes_what_it_makes_from_the_start(build):
             mine, its = structure_and_numbers(*renewed.seen), structure_and_numbers(*seen)
             assert mine[0] == its[0]
             assert mine[1].tobytes() == its[1].tobytes()
+            require_same_numbers(compilation, renewed)
     assert n_renewed > 50
     assert refused > 10
+
+
+@pytest.mark.parametrize("build", [pytest.param(build, id=name) for name, build in SCENES.items()])
+@np.errstate(all="ignore")
+def test_two_numbers_that_change_make_what_they_make_from_the_start(build):
+    """After each of them alone, and again with other numbers: what is done with one may depend on the other."""
+    scene = build()
+    reading = KeyedTree(scene)
+    compilation = Compilation.of(reading, *from_the_start(scene))
+    assert compilation is not None
+    n_renewed = 0
+
+    def require_same(changes):
+        nonlocal n_renewed
+        other = scene
+        for place, factor in changes:
+            other = with_leaf(other, place, reading.leaves[place] * factor + 1e-6)
+        renewed = compilation.renewed(KeyedTree(other))
+        if renewed is not None:
+            n_renewed += len(changes) == 2
+            for one, whole in zip((renewed.system, renewed.seen), from_the_start(other), strict=True):
+                assert one.tree == whole.tree
+                assert bits(one.leaves) == bits(whole.leaves)
+            require_same_numbers(compilation, renewed)
+
+    for place in range(len(reading.leaves) - 2):
+        for beside in (place + 1, place + 2):
+            for changes in ([(place, 1.01)], [(beside, 1.02)]):
+                require_same(changes)
+            for factor in (1.01, 1.03):
+                require_same([(place, factor), (beside, 1.02)])
+    assert n_renewed > 20
+
+
+def require_same_numbers(compilation, renewed):
+    """Taken over from those of before they are those of the renewed system, to the last bit."""
+    structure, known, _ = numbers_apart(*compilation.seen)
+    structure, known, unknown = numbers_renewed(structure, known, renewed.seen.leaves, renewed.changed)
+    expected = numbers_apart(*renewed.seen)
+    assert structure == expected[0]
+    assert known.tobytes() == expected[1].tobytes()
+    assert unknown == expected[2]
+
+
+@pytest.mark.parametrize("build", [pytest.param(build, id=name) for name, build in SCENES.items()])
+def test_a_number_that_is_traced_makes_what_it_made_of_a_known_one(build):
+    """Each leaf of a scene traced by `jax.jvp`, twice: the second renewal goes the way that the first one has found."""
+    scene = build()
+    reading = KeyedTree(scene)
+    compilation = Compilation.of(reading, *from_the_start(scene))
+    assert compilation is not None
+    n_renewed = 0
+
+    def looked_at(leaf, place):
+        nonlocal n_renewed
+        other = with_leaf(scene, place, leaf)
+        first, second = (compilation.renewed(KeyedTree(other)) for _ in range(2))
+        assert (first is None) == (second is None)
+        if first is not None:
+            n_renewed += 1
+            for one, another in ((first.system, second.system), (first.seen, second.seen)):
+                assert one.tree == another.tree
+                assert [type(leaf) for leaf in one.leaves] == [type(leaf) for leaf in another.leaves]
+                mine, its = (map(np.asarray, known_behind(taken.leaves)[0]) for taken in (one, another))
+                assert bits(mine) == bits(its)
+            require_same_numbers(compilation, first)
+            require_same_numbers(compilation, second)
+        return leaf
+
+    for place, leaf in enumerate(reading.leaves):
+        jax.jvp(lambda x, place=place: looked_at(x, place), (np.asarray(leaf),), (np.ones_like(leaf),))
+    assert n_renewed > 10
 
 
 @pytest.fixture

@@ -5,7 +5,7 @@ constants. Whoever computes with a mark, compares it or asks for its truth, gets
 known beyond the one system.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -72,21 +72,25 @@ class Picked:
         return is_picked
 
 
-def places_of_leaf(function: Callable[[Any], Any], tree: Any, leaves: list, at: int) -> tuple[Any, list[int]] | None:
-    """The structure of what a function returns, and the places of one leaf of its argument among the leaves of that;
-    None where the function does more with that leaf than to hand it on.
+def places_of_leaves(
+    function: Callable[[Any], Any], tree: Any, leaves: list, among: Sequence[int]
+) -> tuple[Any, list[list[int]]] | None:
+    """The structure of what a function returns, and for each of some leaves of its argument the places where it stands
+    among the leaves of that; None where the function does more with these leaves than to hand them on.
 
     Args:
         function: of this package's code alone.
         tree, leaves: its argument, taken apart.
-        at: place of the leaf.
+        among: places of these leaves.
     """
-    mark = _Number(at)
+    marked = list(leaves)
+    for i in among:
+        marked[i] = _Number(i)
     try:
-        returned, made = jax.tree.flatten(function(jax.tree.unflatten(tree, [*leaves[:at], mark, *leaves[at + 1 :]])))
+        returned, made = jax.tree.flatten(function(jax.tree.unflatten(tree, marked)))
     except Exception:  # it asks for more than a mark can answer
         return None
-    return made, [i for i, leaf in enumerate(returned) if leaf is mark]
+    return made, [[at for at, leaf in enumerate(returned) if leaf is marked[i]] for i in among]
 
 
 def picked(function: Callable[[System], Any], structure: Structure) -> Picked | None:

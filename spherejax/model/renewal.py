@@ -12,7 +12,7 @@ Where one of these fails there is no renewal, and the scene is compiled from the
 errors and their order are those of a new scene.
 """
 
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
 from functools import cached_property, lru_cache, partial
 from typing import Any, NamedTuple
 
@@ -23,7 +23,7 @@ import numpy as np
 from spherejax.foundations.behind_tracers import known_behind
 from spherejax.foundations.checks import called, enforce, is_concrete, is_tracing
 from spherejax.foundations.errors import SceneError
-from spherejax.model.picking import places_of_leaf
+from spherejax.model.picking import places_of_leaves
 from spherejax.model.scene import Scene, all_hold, conditions_of, scene_requirements
 from spherejax.model.system import (
     BodyGeometry,
@@ -37,10 +37,13 @@ from spherejax.physics.bodies import Body
 from spherejax.physics.forces.remembering import memory_entries
 from spherejax.physics.joints.lubricated import Lubricated
 from spherejax.physics.memory import MemoryEntry
-from spherejax.program_cache.keys import KeyedTree, own
+from spherejax.program_cache.keys import KeyedTree, LruCache, own
 
 NOT_DRAWN = frozenset((0, 1, 4, 5))
 """Mass, inertia and the two velocities, by their places among the leaves of a body: no part is placed by these."""
+
+N_ROUTES = 64
+"""Ways of numbers into the system that are kept for scenes of one structure; the least recently used is evicted."""
 
 FIELDS = {"body": "bodies", "joint": "joints", "force": "forces"}
 """Where the parts of each kind are, in a scene and in a system."""
@@ -138,23 +141,18 @@ class Compilation:
         parts = self._frame.parts_of(changed)
         if parts is None:
             return None
-        routes = [self._frame.routes.get((i, _kind_of(reading.leaves[i]))) for i in changed]
-        if None not in routes:
-            try:
-                return self._along(routes, parts, changed, reading)
-            except SceneError:
-                return None
         try:
+            routes = None if self._frame.gravity[0] in changed else self._frame.routes_of(parts, changed, reading)
+            if routes is not None:
+                return self._along(routes, parts, reading)
             renewed = self._renewed(parts, changed, reading.tree)
         except SceneError:  # it is raised again, in its order
             return None
         if renewed is not None:
-            self._frame.find_routes(changed, reading, renewed)
+            self._frame.find_routes(parts, changed, reading, renewed)
         return renewed
 
-    def _along(
-        self, routes: list["_Route | None"], parts: list["_PlacesOfPart"], leaves: list[int], reading: KeyedTree
-    ) -> Renewed | None:
+    def _along(self, routes: list["_Route"], parts: list["_PlacesOfPart"], reading: KeyedTree) -> Renewed | None:
         """What a scene calls for whose numbers go straight into the system: no part is placed."""
         conditions = []
         for part in parts:
@@ -171,9 +169,8 @@ class Compilation:
             return None
         system, seen = list(self.system.leaves), list(self.seen.leaves)
         changed = []
-        for route, i in zip(routes, leaves, strict=True):
-            assert route is not None
-            leaf = own(reading.leaves[i])
+        for route in routes:
+            leaf = own(reading.leaves[route.leaf])
             for at in route.placed:
                 system[at] = leaf
             for at in route.seen:
@@ -219,6 +216,7 @@ class Compilation:
 class _Route(NamedTuple):
     """Where a number of a scene stands in the system and in that with laws by their factors, handed on as it is."""
 
+    leaf: int
     placed: tuple[int, ...]
     seen: tuple[int, ...]
 
@@ -317,34 +315,45 @@ class _SharedByScenes:
         return placed if said is not None and said == self._said[part.kind, part.name] else None
 
     @cached_property
-    def routes(self) -> dict[tuple[int, type], _Route]:
-        """By the places of numbers among the leaves of a scene, and by their types."""
-        return {}
+    def _routes(self) -> LruCache:
+        """Of numbers of a part that have changed while its others have the values of the key."""
+        return LruCache(N_ROUTES)
+
+    def _key_of(self, part: _PlacesOfPart, leaves: list[int], reading: KeyedTree) -> Hashable:
+        # What is done with a number may depend on the others: a law by its factor, on the exponent.
+        start, stop = part.described.start, part.described.stop
+        changed = tuple(i for i in leaves if start <= i < stop)
+        kinds = tuple(_kind_of(reading.leaves[i]) for i in changed)
+        others = tuple(reading.values[i] for i in range(start, stop) if i not in changed)
+        return part.kind, part.name, changed, kinds, others
+
+    def routes_of(self, parts: list[_PlacesOfPart], leaves: list[int], reading: KeyedTree) -> list[_Route] | None:
+        """Those of leaves that have changed; None where one is not handed on as it is, or not known to be."""
+        routes = [self._routes.find(self._key_of(part, leaves, reading)) for part in parts]
+        return None if None in routes else [route for of_part in routes for route in of_part]
 
     def in_numpy(self, part: _PlacesOfPart, leaves: list) -> Any:
         """A part of a scene, of leaves that are known; JAX takes ten times as long for each comparison."""
         _, tree = _places(self._of[0])[FIELDS[part.kind], part.name]
         return jax.tree.unflatten(tree, [np.asarray(x) if isinstance(x, jax.Array) else x for x in leaves])
 
-    def find_routes(self, leaves: list[int], reading: KeyedTree, renewed: Renewed) -> None:
+    def find_routes(self, parts: list[_PlacesOfPart], leaves: list[int], reading: KeyedTree, renewed: Renewed) -> None:
         """Find out which of the leaves that have changed are handed on as they are."""
-        for i in leaves:
-            k = self._part_of[i]
-            key = i, _kind_of(reading.leaves[i])
-            if k is None or key in self.routes:
-                continue
-            route = self._route_of(self._parts[k], i, reading)
+        for part in parts:
+            changed = [i for i in leaves if part.described.start <= i < part.described.stop]
+            routes = self._found_routes(part, changed, reading)
             # What is made of a number may be of another type, of which other scenes would differ.
-            if route is not None and all(
-                _are_same(taken.leaves[at], reading.leaves[i])
+            if routes is not None and all(
+                _are_same(taken.leaves[at], reading.leaves[route.leaf])
+                for route in routes
                 for taken, places in ((renewed.system, route.placed), (renewed.seen, route.seen))
                 for at in places
             ):
-                self.routes[key] = route
+                self._routes.put(self._key_of(part, leaves, reading), routes)
 
-    def _route_of(self, part: _PlacesOfPart, leaf: int, reading: KeyedTree) -> _Route | None:
+    def _found_routes(self, part: _PlacesOfPart, changed: list[int], reading: KeyedTree) -> list[_Route] | None:
         _, tree = _places(self._of[0])[FIELDS[part.kind], part.name]
-        leaves = reading.leaves[part.described]
+        leaves, among = reading.leaves[part.described], [i - part.described.start for i in changed]
 
         def placed(described: Any) -> Any:
             made = self.made(part, described, reading.tree)
@@ -355,18 +364,19 @@ class _SharedByScenes:
         def points(described: Any) -> Any:
             return [] if part.kind == "body" else getattr(placed(described), "points", ())
 
-        at = leaf - part.described.start
-        in_points = places_of_leaf(points, tree, leaves, at)
-        in_system = places_of_leaf(placed, tree, leaves, at)
-        in_seen = places_of_leaf(lambda described: with_laws_by_factor(placed(described)), tree, leaves, at)
-        if in_points is None or in_points[1] or in_system is None or in_seen is None:
+        def seen(described: Any) -> Any:
+            return with_laws_by_factor(placed(described))
+
+        in_points, *others = (places_of_leaves(of, tree, leaves, among) for of in (points, placed, seen))
+        if in_points is None or any(in_points[1]):
             return None
-        if in_system[0] != part.placed_tree or in_seen[0] != part.seen_tree:
-            return None
-        firsts = part.placed.start, part.seen.start
-        return _Route(
-            *(tuple(first + i for i in of[1]) for first, of in zip(firsts, (in_system, in_seen), strict=True))
-        )
+        places = []
+        of_systems = (part.placed_tree, part.placed), (part.seen_tree, part.seen)
+        for found, (wanted, of_part) in zip(others, of_systems, strict=True):
+            if found is None or found[0] != wanted:
+                return None
+            places.append([tuple(of_part.start + at for at in of_leaf) for of_leaf in found[1]])
+        return [_Route(*route) for route in zip(changed, *places, strict=True)]
 
     def is_for_masses_of(self, scene: Scene) -> bool:
         """Whether other masses and moments are as far apart as those before."""

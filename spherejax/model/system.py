@@ -469,10 +469,6 @@ def flatten_system(system: System):
     return structure_and_numbers(leaves, tree)
 
 
-def _are_not_special(numbers: list[float]) -> bool:
-    return not any(number in SPECIAL_VALUES for number in numbers)
-
-
 def special_in(numbers: Float[np.ndarray, " n"]) -> list[tuple[int, float]]:
     """Which numbers are one of `SPECIAL_VALUES`, as (index, value)."""
     at = np.flatnonzero((numbers[:, None] == _SPECIAL).any(axis=1))
@@ -527,16 +523,17 @@ def numbers_renewed(
     for some in changed:
         for i, leaf in enumerate(leaves[some], some.start):
             first, last = starts[i], starts[i + 1]
+            numbers = known[first:last].tolist()
             if is_concrete(leaf):
-                before = known[first:last].tolist()
                 known[first:last] = np.asarray(leaf, np.float64).ravel()
-                is_as_special = is_as_special and _are_not_special([*before, *known[first:last].tolist()])
+                numbers += known[first:last].tolist()
             else:
-                is_as_special = False
                 known[first:last] = 0.0
                 unknown += range(first, last)
+            # None of them were special, or are: zeros that stand for what was traced count as special.
+            is_as_special = is_as_special and not any(number in SPECIAL_VALUES for number in numbers)
     if is_as_special:
-        return structure, known, ()
+        return structure, known, tuple(sorted(unknown))
     special = special_in(known)
     if unknown:
         special = [(i, value) for i, value in special if i not in set(unknown)]

@@ -7,7 +7,7 @@ many steps at most. `RunInputs` are numbers. Below them is what a program of the
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import diffrax
@@ -115,11 +115,16 @@ class Plan:
             [jnp.asarray(scales_of(values[:n], self._arrays)), jnp.maximum(jnp.abs(values[n:]), 1.0)]
         )
 
-    @cached_property
+    @property
     def _arrays(self) -> Int[np.ndarray, " n_unknown"]:
         """Indices of the arrays that the traced numbers belong to, ascending from 0."""
-        leaves = np.searchsorted(self.structure.starts, self.unknown, side="right")
-        return np.unique(leaves, return_inverse=True)[1]
+        return _arrays_of(self.structure, self.unknown)
+
+
+@lru_cache(maxsize=64)
+def _arrays_of(structure: Structure, unknown: tuple[int, ...]) -> Int[np.ndarray, " n_unknown"]:
+    leaves = np.searchsorted(structure.starts, unknown, side="right")
+    return np.unique(leaves, return_inverse=True)[1]
 
 
 class RunMethod(eqx.Module):

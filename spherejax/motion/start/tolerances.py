@@ -109,10 +109,16 @@ def _tolerances_by(structure: Structure, numbers: tuple[bytes, ...], rtol: float
     """Kept by the numbers that they are made of, which are few: a mass, or a law's number, is seldom among them."""
     at = _measured_at(structure)
     assert at is not None
-    *vectors, clearances = map(np.frombuffer, numbers[: len(at.vectors) + 1])
     masses = np.frombuffer(numbers[-1]).tolist() if at.depends_on_masses else []
-    scales = _scales_of(np, [vector.reshape(-1, 3) for vector in vectors], clearances)
+    scales = _scales_by(numbers[: len(at.vectors) + 1])
     return _described(_numbers_of(at.kinds, scales, masses, rtol), rtol, is_known=True)
+
+
+@lru_cache(maxsize=256)
+def _scales_by(numbers: tuple[bytes, ...]) -> tuple:
+    """Length, speed and smallest clearance, by the vectors and the clearances that they are made of."""
+    *vectors, clearances = map(np.frombuffer, numbers)
+    return _scales_of(np, [vector.reshape(-1, 3) for vector in vectors], clearances)
 
 
 class _Measured(NamedTuple):
