@@ -50,6 +50,16 @@ def test_a_directional_derivative_is_right():
     np.testing.assert_allclose(slope, SLOPES(AT) @ ALONG, rtol=1e-6)
 
 
+def test_a_number_of_another_precision_has_a_derivative():
+    def end(mass):
+        return place((AT[0], mass, AT[2]))
+
+    slope = jax.grad(end)(jnp.asarray(AT[1], jnp.float32))
+    assert slope.dtype == jnp.float32
+    np.testing.assert_allclose(slope, SLOPES(AT)[1], rtol=1e-5)
+    np.testing.assert_allclose(jax.grad(end)(float(AT[1])), SLOPES(AT)[1], rtol=1e-6)
+
+
 def test_numbers_behind_two_transformations_are_not_taken_for_known():
     seen = []
 

@@ -96,7 +96,7 @@ class PreparedScene:
         """The one array that these are the numbers of: that of the scene where it is alone, else their vector."""
         traced = [leaf for leaf in self.taken.leaves if not is_concrete(leaf)]
         # Of arrays of several transformations a vector is traced by all of these, which the arrays do not show.
-        return traced[0] if len(traced) == 1 else self.values
+        return traced[0] if len(traced) == 1 and traced[0].dtype == np.float64 else self.values
 
     @cached_property
     def values_behind(self) -> Any:
