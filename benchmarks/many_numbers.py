@@ -3,7 +3,8 @@
     python benchmarks/many_numbers.py     # five minutes
 
 A network as a force on a body, 3 s, 31 samples, rtol 1e-7, by all of its weights, and along one direction in them; the
-four-bar, dry and lubricated, 0.2 s, by all numbers of its scene but the exponent of its contact. Each in its own
+four-bar, dry and lubricated, 0.2 s, by all numbers of its scene but the exponent of its contact, and dry by the weights
+of a network in its friction law. Each in its own
 process, without a cache: processor time of the first call, imports not counted, and the shortest of the
 calls after it, of half a second and 15 calls at least.
 """
@@ -35,6 +36,23 @@ def by_network(width):
         ball = sj.Body(1.0, (1, 1, 1), position=(0.5, 0, 0))
         scene = sj.Scene({{"ball": ball}}, forces={{"law": Learned(network)}}, gravity=(0, 0, 0))
         return jnp.mean(sj.simulate(scene, ts, rtol=1e-7).position("ball")[:, 0] ** 2)
+    return loss, numbers
+
+class LearnedFriction(sj.laws.AbstractStaticFriction):
+    simulable = True
+    network: sj.Network
+    def secant(self, speed):
+        # Threlfall's law but for a factor between 0.5 and 1.5 by the network.
+        features = jnp.stack([jnp.tanh(10 * speed), 10 * speed])
+        return sj.laws.Threlfall().secant(speed) * (1 + 0.5 * jnp.tanh(self.network(features)))
+    def requirements(self):
+        return []
+
+def by_friction():
+    numbers = sj.Network(eqx.nn.MLP(2, "scalar", 16, 1, activation=jnp.tanh, key=jax.random.key(1)))
+    def loss(network):
+        scene = sj.gallery.four_bar(sj.Dry(1e-4, friction=LearnedFriction(network)))
+        return sj.simulate(scene, jnp.linspace(0.0, 0.2, 21)).position("rocker")[-1, 2]
     return loss, numbers
 
 def by_scene(model):
@@ -69,6 +87,7 @@ CASES = {
     "network in a force, width 8": "by_network(8)",
     "network in a force, width 32": "by_network(32)",
     "network in a force, width 64": "by_network(64)",
+    "network in a friction law, dry four-bar": "by_friction()",
     "dry four-bar, its scene": "by_scene(sj.Dry(1e-4, friction=sj.Threlfall()))",
     "lubricated four-bar, its scene": "by_scene(sj.Lubricated(clearance=1e-4, viscosity=0.4))",
 }
