@@ -39,13 +39,13 @@ def assert_same_numbers(function, *examples, rtol=1e-13):
     cotangent = jnp.sin(3.0 * expected + 1.0)
     back = jax.vjp(function, *examples)[1](cotangent)
     size = jax.tree.map(lambda x: 1e-15 + rtol * jnp.max(jnp.abs(x)), (expected, slopes, back))
-    found = (
+    results = (
         jax.jit(program)(*examples),
         jax.jit(lambda *x: jax.jvp(program, x, tangents)[1])(*examples),
         jax.jit(lambda *x: jax.vjp(program, *x)[1](cotangent))(*examples),
     )
     jax.tree.map(
-        lambda a, b, s: np.testing.assert_allclose(a, b, rtol=0, atol=s), found, (expected, slopes, back), size
+        lambda a, b, s: np.testing.assert_allclose(a, b, rtol=0, atol=s), results, (expected, slopes, back), size
     )
     return program
 
@@ -57,7 +57,7 @@ def test_a_matrix_times_a_vector(n, m):
     derivative = line.derivative((True, True), reads_arguments=True)
     back = derivative.slopes.transposed((True, True, *(False for _ in derivative.slopes.shapes[2:]), False), (True,))
     of_rows = {"dot"} if m >= SHORTEST else set()
-    assert [kinds_of(each)[0] for each in (line, derivative.slopes)] == [of_rows, of_rows]
+    assert [kinds_of(one)[0] for one in (line, derivative.slopes)] == [of_rows, of_rows]
     of_sums = set() if n < SHORTEST else {"dot"} if m == 1 else {"columns"} if m >= SHORTEST else set()
     assert kinds_of(back)[0] == of_sums | ({"row"} if m >= SHORTEST or (m == 1 and n >= SHORTEST) else set())
 

@@ -117,6 +117,8 @@ def loops_of(line: Any, place: Mapping[int, tuple[int, int]]) -> Loops | None:
 
 
 class _LoopSearch:
+    """Looks for the three shapes among the nodes of a line."""
+
     def __init__(self, line: Any, place: Mapping[int, tuple[int, int]]):
         self.line, self.graph, self.place = line, line.graph, place
         self.results = [[int(node) for node in output.ravel()] for output in line.outputs]
@@ -170,7 +172,7 @@ class _LoopSearch:
                 taken = {product for _, run in [*dots, *columns] for product in run}
                 parts[node] = dots, columns, [term for term in terms if term not in taken], sums
         together = self._together({node: columns for node, (_, columns, *_) in parts.items()})
-        found, absorbed = {}, set()
+        with_loops, absorbed = {}, set()
         for node, (dots, columns, rest, sums) in parts.items():
             of_columns, left = [], []
             for own, run in columns:
@@ -184,8 +186,8 @@ class _LoopSearch:
             for _, run in dots:
                 absorbed.update(run)
             absorbed.update(sums)
-            found[node] = WeightedSum(tuple(dot for dot, _ in dots), tuple(of_columns), (*rest, *left))
-        return found, absorbed
+            with_loops[node] = WeightedSum(tuple(dot for dot, _ in dots), tuple(of_columns), (*rest, *left))
+        return with_loops, absorbed
 
     def _is(self, operation: str, node: int) -> bool:
         is_it = node not in self.place and self.graph.operations[node] == operation
@@ -247,9 +249,9 @@ class _LoopSearch:
         """Columns of several sums that stand side by side: for each the whole and its place in it."""
         by_others: dict[tuple, list[tuple[int, int, Columns]]] = {}
         for node, columns in own.items():
-            for each, _ in columns:
-                key = each.first[0], each.stride, each.others
-                by_others.setdefault(key, []).append((each.first[1], node, each))
+            for part, _ in columns:
+                key = part.first[0], part.stride, part.others
+                by_others.setdefault(key, []).append((part.first[1], node, part))
         together = {}
         for (argument, stride, others), members in by_others.items():
             members.sort()
@@ -259,8 +261,8 @@ class _LoopSearch:
                     continue
                 if end - begin >= SHORTEST:
                     whole = Columns((argument, members[begin][0]), stride, others, end - begin)
-                    for at, (_, node, each) in enumerate(members[begin:end]):
-                        together[node, each] = whole, at
+                    for at, (_, node, part) in enumerate(members[begin:end]):
+                        together[node, part] = whole, at
                 begin = end
         return together
 
