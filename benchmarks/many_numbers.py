@@ -1,19 +1,22 @@
 """Gradients by many numbers: what they cost in values, and what they take to compile.
 
-    python benchmarks/many_numbers.py     # five minutes
+    python benchmarks/many_numbers.py                # five minutes
+    python benchmarks/many_numbers.py --one-core     # three minutes: the networks, on one core
 
 A network as a force on a body, 3 s, 31 samples, rtol 1e-7, by all of its weights, and along one direction in them; the
 four-bar, dry and lubricated, 0.2 s, by all numbers of its scene but the exponent of its contact, and dry by the weights
 of a network in its friction law. Each in its own
 process, without a cache: processor time of the first call, imports not counted, and the shortest of the
-calls after it, of half a second and 15 calls at least.
+calls after it, of half a second and 15 calls at least. On two cores XLA gives operations around the loops of a run to
+threads of its own, which takes up to a twentieth of a millisecond of a call; on one core it does not.
 """
 
+import argparse
 import os
 import subprocess
 import sys
 
-from machine import write
+from machine import use_one_core, write
 
 CODE = """
 import sys, time, equinox as eqx, jax, jax.numpy as jnp, spherejax as sj
@@ -105,9 +108,20 @@ def measured(case: str, way: str) -> tuple[int, float, float]:
     return int(count), float(first), float(taken)
 
 
+ON_ONE_CORE = tuple(case for case in CASES if "in a force" in case)
+"""Cases whose calls take so little that threads matter."""
+
+
 def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--one-core", action="store_true", help="networks in a force, on one core")
+    is_on_one_core = parser.parse_args().one_core
+    name, command = "many_numbers", "python benchmarks/many_numbers.py"
+    if is_on_one_core:  # the processes that are started inherit it
+        use_one_core()
+        name, command = "many_numbers_on_one_core", f"{command} --one-core"
     rows = []
-    for case in CASES:
+    for case in ON_ONE_CORE if is_on_one_core else CASES:
         _, _, value = measured(case, "value")
         for way in ("value", "gradient", "direction", *(["rows"] if case in WITH_ROWS else [])):
             count, first, taken = measured(case, way)
@@ -118,7 +132,7 @@ def main() -> None:
                 }
             )  # fmt: skip
             print(rows[-1], flush=True)
-    write("many_numbers", "python benchmarks/many_numbers.py", rows)
+    write(name, command, rows)
 
 
 if __name__ == "__main__":
