@@ -519,6 +519,7 @@ def test_derivatives_of_an_explicit_run_are_what_xla_makes_of_them(name, n_rows,
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:derivatives by Rodas5P are not sure")  # the exponent of the contact is among them
 @pytest.mark.parametrize("name", ["bushing", "lubricated"])
 def test_a_run_is_differentiated_by_all_of_its_numbers(name):
     """Some ninety rows: more than fit in the arrays that kernels take."""

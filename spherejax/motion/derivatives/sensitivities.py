@@ -90,13 +90,14 @@ def integrate_with_sensitivities(
         else:
             outcome = run(*primals)
             ys_dot, assembly = jax.tree.map(jnp.zeros_like, (outcome.ys, outcome.assembly))
+            along = jnp.zeros(0)
         t_dot = np.zeros(())
         if moves_times:
             # What the first time moves besides is in the rows, where it is more than a shift of all times.
             delays = moved.ts if by_start else moved.ts - moved.ts[0]
             ys_dot = ys_dot + delays[:, None] * _rates_at(plan, plan.theta_of(inputs), ts, outcome.ys)
             t_dot = moved.ts[-1]
-        t_dot, y_dot = _at_end(outcome.status, t_dot, ys_dot)
+        t_dot, y_dot = _at_end(outcome.status, t_dot, ys_dot, along)
         counts = jax.tree.map(_no_tangent, (outcome.status, outcome.stats))
         return outcome, Outcome(ys_dot, t_dot, y_dot, counts[0], counts[1], assembly)
 
@@ -385,10 +386,14 @@ def _along(jacobian: Slopes, tangent: Float[Array, " p"]) -> Slopes:
 
 
 @jax.jit
-def _at_end(status: Array, t_dot: Float[Array, ""], ys_dot: Float[Array, "n size"]) -> tuple[Array, Array]:
-    """The tangents of the time and of the state at the end; NaN where the run did not come there."""
-    has_succeeded = status == Status.SUCCEEDED
-    return jnp.where(has_succeeded, t_dot, jnp.nan), jnp.where(has_succeeded, ys_dot[-1], jnp.nan)
+def _at_end(
+    status: Array, t_dot: Float[Array, ""], ys_dot: Float[Array, "n size"], along: Float[Array, " p"]
+) -> tuple[Array, Array]:
+    """The tangents of the time and of the state at the end, along a tangent of the numbers; NaN where the run did not
+    come there, in reverse mode as well."""
+    # Factors: `jnp.where` transposed would be a gradient of zero.
+    factor = jnp.where(status == Status.SUCCEEDED, 1.0, jnp.nan)
+    return factor * t_dot + (factor - 1) * jnp.sum(along), factor * ys_dot[-1]
 
 
 def _unscaled(scaled: Any, scale: Any) -> Any:
