@@ -5,10 +5,10 @@
 
 A network as a force on a body, 3 s, 31 samples, rtol 1e-7, by all of its weights, and along one direction in them; the
 four-bar, dry and lubricated, 0.2 s, by all numbers of its scene but the exponent of its contact, and dry by the weights
-of a network in its friction law. Each in its own
-process, without a cache: processor time of the first call, imports not counted, and the shortest of the
-calls after it, of half a second and 15 calls at least. On two cores XLA gives operations around the loops of a run to
-threads of its own, which takes up to a twentieth of a millisecond of a call; on one core it does not.
+of a network in its friction law; of the dry one by its scene eight gradients by `jax.vmap`, too. Each in a process of
+its own, without a cache: processor time of the first call, imports not counted, and the shortest of the calls after it,
+of half a second and 15 calls at least. On two cores XLA gives operations around the loops of a run to threads of its
+own, which takes up to a twentieth of a millisecond of a call; on one core it does not.
 """
 
 import argparse
@@ -75,6 +75,9 @@ if "{way}" == "rows":
     sensitivities.MANY = 1_000_000
 ways = dict(value=loss, gradient=jax.grad(loss), direction=lambda at: jax.jvp(loss, (at,), (ones,))[1])
 ways["rows"] = ways["gradient"]
+if "{way}" == "eight gradients":
+    numbers = jax.tree.map(lambda leaf: jnp.stack([leaf * (1 + 1e-6 * i) for i in range(8)]), numbers)
+    ways["eight gradients"] = jax.vmap(ways["gradient"])
 call = jax.jit(ways["{way}"])
 begin = time.process_time()
 jax.block_until_ready(call(numbers))
@@ -83,7 +86,8 @@ while len(taken) < 15 or sum(taken) < 0.5:
     begin = time.perf_counter()
     jax.block_until_ready(call(numbers))
     taken.append(time.perf_counter() - begin)
-print(sum(leaf.size for leaf in jax.tree.leaves(numbers)), first, min(taken))
+count = sum(leaf.size for leaf in jax.tree.leaves(numbers))
+print(count // 8 if "{way}" == "eight gradients" else count, first, min(taken))
 """
 
 CASES = {
@@ -95,8 +99,8 @@ CASES = {
     "lubricated four-bar, its scene": "by_scene(sj.Lubricated(clearance=1e-4, viscosity=0.4))",
 }
 
-WITH_ROWS = {"lubricated four-bar, its scene"}
-"""Cases that are also measured with a row for each number in place of the way back."""
+MORE_WAYS = {"lubricated four-bar, its scene": ["rows"], "dry four-bar, its scene": ["eight gradients"]}
+"""What else is measured of a case; `rows`: with a row for each number in place of the way back."""
 
 
 def measured(case: str, way: str) -> tuple[int, float, float]:
@@ -123,7 +127,7 @@ def main() -> None:
     rows = []
     for case in ON_ONE_CORE if is_on_one_core else CASES:
         _, _, value = measured(case, "value")
-        for way in ("value", "gradient", "direction", *(["rows"] if case in WITH_ROWS else [])):
+        for way in ("value", "gradient", "direction", *MORE_WAYS.get(case, ())):
             count, first, taken = measured(case, way)
             rows.append(
                 {

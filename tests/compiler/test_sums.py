@@ -62,7 +62,7 @@ def test_a_matrix_times_a_vector(n, m):
     assert kinds_of(back)[0] == of_sums | ({"row"} if m >= SHORTEST or (m == 1 and n >= SHORTEST) else set())
 
 
-def test_the_text_does_not_grow_with_the_matrix():
+def test_the_text_grows_with_the_rows_of_a_matrix_and_not_with_its_columns():
     def lines(n):
         program = scalarize(lambda w, x: w @ x, numbers(n, n), numbers(n))
         return kinds_of(program.line_called())[1].count("\n")

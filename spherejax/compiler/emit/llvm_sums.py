@@ -116,6 +116,21 @@ def loops_of(line: Any, place: Mapping[int, tuple[int, int]]) -> Loops | None:
     return loops if loops.n_products >= FEWEST else None
 
 
+class _SumParts(NamedTuple):
+    """A sum while it is looked at.
+
+    Attributes:
+        dots, columns: what loops could be made of, each with its products.
+        rest: other terms.
+        inner: additions in it that nobody else reads.
+    """
+
+    dots: list[tuple[Dot, list[int]]]
+    columns: list[tuple[Columns, list[int]]]
+    rest: list[int]
+    inner: list[int]
+
+
 class _LoopSearch:
     """Looks for the three shapes among the nodes of a line."""
 
@@ -158,7 +173,7 @@ class _LoopSearch:
     def _sums(self) -> tuple[dict[int, WeightedSum], set[int]]:
         """Sums with loops in them, and the nodes that need not be written for them."""
         inner: set[int] = set()
-        parts: dict[int, tuple[list[tuple[Dot, list[int]]], list[tuple[Columns, list[int]]], list[int], list[int]]] = {}
+        parts: dict[int, _SumParts] = {}
         for node in reversed(self.line.nodes):
             if node in inner or not self._is("add", node):
                 continue
@@ -170,8 +185,8 @@ class _LoopSearch:
             dots, columns = self._runs(products)
             if dots or columns:
                 taken = {product for _, run in [*dots, *columns] for product in run}
-                parts[node] = dots, columns, [term for term in terms if term not in taken], sums
-        together = self._together({node: columns for node, (_, columns, *_) in parts.items()})
+                parts[node] = _SumParts(dots, columns, [term for term in terms if term not in taken], sums)
+        together = self._together({node: own.columns for node, own in parts.items()})
         with_loops, absorbed = {}, set()
         for node, (dots, columns, rest, sums) in parts.items():
             of_columns, left = [], []

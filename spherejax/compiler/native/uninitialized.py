@@ -1,8 +1,8 @@
 """An array whose entries nobody has written yet, for rows that a loop writes before it reads them.
 
-XLA fills each array with something. A loop that may take four thousand steps, and takes ten, would fill megabytes for
-each call: the gradient of a short run took two and a half times as long for it (`benchmarks/many_numbers.py`). Here a
-call of machine code that does nothing returns the array. Where there is no machine code it is filled with zeros.
+XLA fills each array with something. A loop that may take four thousand steps, and takes ten, would fill megabytes in
+each call, which takes longer than all else in the gradient of a short run. Here a call of machine code that does
+nothing returns the array. Where there is no machine code it is filled with zeros.
 """
 
 from typing import Any

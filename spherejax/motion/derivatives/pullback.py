@@ -40,7 +40,7 @@ from spherejax.motion.equations.contacts import kinks_of
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import Program, program_for
 from spherejax.motion.equations.projection import correction_reads_parameters
-from spherejax.motion.integration.compiling import in_machine_code, native_run, options_for, room_for
+from spherejax.motion.integration.compiling import in_machine_code, native_run, options_for, uninitialized
 from spherejax.motion.integration.implicit_rows import differentiable_solver
 from spherejax.motion.integration.jobs import Job, JobKind, with_slopes
 from spherejax.motion.integration.lanes import Block, LaneProblem, StepLog, steps_in_lanes
@@ -79,8 +79,8 @@ LARGEST_UNROLLED = 500
 """Numbers of a right-hand side up to which the stages of an explicit step are unrolled.
 
 An unrolled stage accumulates the cotangents of the stages that it has weights for; in a loop each stage passes through
-the cotangents of all stages, and the gradient of a dry four-bar (167 numbers) takes a sixth longer. Cotangents of the
-numbers are summed in place by a loop, and copied by unrolled stages: with 1,205 numbers the loop is 5 % faster."""
+the cotangents of all stages, and the gradient of a dry four-bar (167 numbers) takes an eighth longer. Cotangents of the
+numbers are summed in place by a loop, and copied by unrolled stages: with 1,205 numbers the loop is 5 to 9 % faster."""
 
 ROOM, ROOM_WITH_CONTACT = 1024, 4096
 """Steps of a stretch. All stretches but the last are made twice. Room that is not used is not written either."""
@@ -93,9 +93,9 @@ FACTOR_ELSEWHERE = 20.0
 """Tolerance of the errors of the mixture, as a multiple of the state's, for explicit methods without kinks: the mixture
 is judged by its own size, which is stricter than the state's tolerance.
 
-With 5, 20 and 50 the gradient of a dry four-bar takes 40, 35 and 34 ms at an rtol of 1e-8, with errors of 4e-8, 4e-8
-and 1e-7 (3e-6, 3e-6 and 4e-5 at 1e-6); with five times the clearance errors are 2e-8, 7e-8 and 7e-8
-(`benchmarks/adjoint_accuracy.py`)."""
+With 20 in place of 5 the gradient of a dry four-bar takes a tenth less, with 50 hardly less than that. Its errors with
+5, 20 and 50 at an rtol of 1e-8 are 4e-8, 4e-8 and 1e-7 (3e-6, 3e-6 and 4e-5 at 1e-6), with five times the clearance
+2e-8, 7e-8 and 7e-8 (`benchmarks/adjoint_accuracy.py`)."""
 
 N_STRETCHES = 4096
 """So many of them, four million steps and more; the gradient of a run with more is NaN."""
@@ -264,8 +264,8 @@ def _pulled_back(plan: Plan, method: RunMethod, inputs: RunInputs, by_ys, by_ass
         jnp.zeros((), jnp.int64),
         jnp.array(False),
         jnp.asarray(job.may_run),
-        room_for((N_STRETCHES,)).at[0].set(ts[0]),
-        room_for((N_STRETCHES, *job.y0.shape)).at[0].set(job.y0),
+        uninitialized((N_STRETCHES,)).at[0].set(ts[0]),
+        uninitialized((N_STRETCHES, *job.y0.shape)).at[0].set(job.y0),
         sweep,
     )
     swept = jax.lax.while_loop(_goes_on, partial(_with_stretch, problem, job, ts[-1], back), stretches)

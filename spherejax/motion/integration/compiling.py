@@ -75,7 +75,7 @@ def native_run(function: Callable[[], Any], is_native: bool, joins: bool = True)
     return native_code(is_native, joins)(function)()
 
 
-def room_for(shape: tuple[int, ...]) -> Array:
+def uninitialized(shape: tuple[int, ...]) -> Array:
     """An array for rows that a loop writes before it reads them: what is in it before is undetermined."""
     return native_code.uninitialized(shape)
 

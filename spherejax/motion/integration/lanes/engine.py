@@ -18,7 +18,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from spherejax.foundations.lanes import in_lanes, with_rows_at
 from spherejax.motion.integration.audit import Watch
-from spherejax.motion.integration.compiling import native_run, room_for
+from spherejax.motion.integration.compiling import native_run, uninitialized
 from spherejax.motion.integration.lanes.account import AccountLayout, written
 from spherejax.motion.integration.lanes.control import BlockSteps, Repeating, clipped, told_by
 from spherejax.motion.integration.lanes.first_step import N_LOOKS, InitialStepProbe
@@ -263,7 +263,7 @@ class Queue:
         if self.capacity:
             rows = self.n_jobs * self.capacity, len(self.shares) + 1
             # Not filled: most runs write few of these rows.
-            log = StepLog(*map(room_for, (rows, (*rows, *self.y0.shape[1:]), (rows[0], 2))))
+            log = StepLog(*map(uninitialized, (rows, (*rows, *self.y0.shape[1:]), (rows[0], 2))))
         last = self.nothing_last(lanes)
         rows = account.rows(self.n_jobs)
         carry = lanes, jnp.asarray(width), rows, ys, jnp.zeros((), jnp.int64), log, looks, last
