@@ -18,6 +18,7 @@ import pytest
 import spherejax as sj
 from spherejax.compiler import primitive
 from spherejax.compiler.emit.llvm import FUNCTION
+from spherejax.compiler.emit.llvm_functions import FUNCTIONS
 from spherejax.compiler.native import compile as machine_code
 from spherejax.compiler.native import platforms
 from spherejax.compiler.operations import LIBRARY
@@ -308,7 +309,8 @@ def test_programs_ask_for_nothing_that_a_platform_lacks(triple, cpu, features):
     """Their text names no processor: LLVM makes code of it for each of them, which calls the C library alone."""
     known = {*LIBRARY.values()}
     called = calls_of(texts_of_programs(), triple, cpu, features)
-    assert {"exp", "pow", "erf", "fmod", "atan2"} <= called <= known | OF_LLVM | OF_SYSTEM.get(triple, set())
+    assert not called & FUNCTIONS.keys()
+    assert {"pow", "erf", "fmod", "atan2"} <= called <= known | OF_LLVM | OF_SYSTEM.get(triple, set())
 
 
 @pytest.mark.slow

@@ -4,11 +4,13 @@ A function has the binary interface of `jax.ffi` (`xla/ffi/api/c_api.h`, version
 a frame, in which it finds where the numbers of its arguments are, and where its results are to go.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import cache
 from typing import Any
 
 import numpy as np
 
+from spherejax.compiler.emit.llvm_functions import FUNCTIONS
 from spherejax.compiler.emit.llvm_sums import COLUMNS, DOT, ROW, Columns, MultipleRow, WeightedSum, beside, loops_of
 from spherejax.compiler.native import ffi_abi
 from spherejax.compiler.operations import BOOL, DOUBLE, FLOAT, KINDS, OPERATIONS, WHOLE, Call
@@ -113,7 +115,9 @@ class Numbers:
         return f"v{self._size}{element}" if self._size > 1 else element
 
     def library(self, word: str, *names: str) -> str:
-        """A function of the mathematical library, of one number after the other: it has none of vectors."""
+        """A function of the mathematical library: our own, or one of one number after the other."""
+        if word in FUNCTIONS:
+            return self._ours(word, *names)
         needs = ", ".join(["double"] * len(names))
         # `memory(none)`: nobody reads `errno`, so that equal calls are made once and unused ones not at all.
         self._declared[f"declare double @{word}({needs}) nounwind willreturn memory(none)"] = None
@@ -125,6 +129,47 @@ class Numbers:
             result = self.made(f"call double @{word}({', '.join(f'double {x}' for x in numbers)})")
             whole = self.made(f"insertelement {typed} {whole}, double {result}, i64 {i}")
         return whole
+
+    def _ours(self, word: str, *names: str) -> str:
+        """A call of one of `llvm_functions`; vectors of three, five, ... numbers are filled up with their first one."""
+        size = 1 << (self._size - 1).bit_length()
+        declared, function = _function(word, size, len(names))
+        self._declared.update(dict.fromkeys((*declared, function)))
+        typed, called = self.type(DOUBLE), f"<{size} x double>" if size > 1 else DOUBLE
+        if size != self._size:
+            names = tuple(self._moved(name, typed, [*range(self._size), *[0] * (size - self._size)]) for name in names)
+        result = self.made(
+            f"call {called} @{_name(word, size)}({', '.join(f'{called} {argument}' for argument in names)})"
+        )
+        return result if size == self._size else self._moved(result, called, range(self._size))
+
+    def _moved(self, name: str, typed: str, entries: Sequence[int]) -> str:
+        places = ", ".join(f"i32 {i}" for i in entries)
+        return self.made(f"shufflevector {typed} {name}, {typed} poison, <{len(entries)} x i32> <{places}>")
+
+
+def _name(word: str, size: int) -> str:
+    return f"spherejax.{word}.{size}"
+
+
+@cache
+def _function(word: str, size: int, n_arguments: int) -> tuple[tuple[str, ...], str]:
+    """One of `llvm_functions` for vectors of a size: what it needs declared, and its text."""
+    lines: list[str] = []
+
+    def made(text: str) -> str:
+        lines.append(f"  %v{len(lines)} = {text}")
+        return f"%v{len(lines) - 1}"
+
+    declared: dict[str, None] = {}
+    writer, names = Numbers(made, declared, size), [f"%x{i}" for i in range(n_arguments)]
+    result, typed = FUNCTIONS[word](writer, *names), writer.type(DOUBLE)
+    # Not inlined, as loops over sums are not: a layer of a network would have 64 copies.
+    begin = (
+        f"define internal {typed} @{_name(word, size)}({', '.join(f'{typed} {name}' for name in names)}) "
+        "noinline willreturn memory(none) nounwind {"
+    )
+    return tuple(declared), "\n".join([begin, *lines, f"  ret {typed} {result}", "}", ""])
 
 
 class FunctionText:

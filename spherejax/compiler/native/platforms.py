@@ -13,6 +13,8 @@ import os
 import platform
 from typing import Any
 
+from spherejax.compiler.emit.llvm import Numbers
+from spherejax.compiler.emit.llvm_functions import FUNCTIONS
 from spherejax.compiler.operations import LIBRARY, OPERATIONS
 
 SETTING = "SPHEREJAX_MACHINE_CODE"
@@ -71,8 +73,8 @@ ROOM = 20_000
 def check(llvm: Any) -> str:
     """Compile and run a small program: why native code cannot be used here, in words; empty where it can.
 
-    It calls each function of the mathematical library once, rounds a vector of numbers, and uses the stack. A missing
-    symbol must be found before that: LLVM ends the process over it.
+    It calls each function of the mathematical library once, or ours in its place, rounds a vector of numbers, and uses
+    the stack. A missing symbol must be found before that: LLVM ends the process over it.
 
     Args:
         llvm: `llvmlite.binding`, with its native target initialized.
@@ -84,7 +86,7 @@ def check(llvm: Any) -> str:
         machine = llvm.Target.from_triple(triple).create_target_machine(cpu=cpu, features=features, **how)
         # The symbols of the process are known to LLVM from its first engine on.
         engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
-        needed = [LIBRARY[name] for name in sorted(LIBRARY)] + ["memset", "memcpy"]
+        needed = [LIBRARY[name] for name in sorted(LIBRARY) if LIBRARY[name] not in FUNCTIONS] + ["memset", "memcpy"]
         needed += ["__chkstk"] if platform.system() == "Windows" else []
         missing = [name for name in needed if not llvm.address_of_symbol(name)]
         if missing:
@@ -119,15 +121,17 @@ def _text() -> str:
     """The program of `check`, in LLVM's language: from (numbers, results) to the results that `expected` lists."""
     n = len(NUMBERS)
     vector = f"<{n} x double>"
-    lines, declared = [], []
+    lines: list[str] = []
+    declared: dict[str, None] = {}
+
+    def made(text: str) -> str:
+        lines.append(f"  %v{len(lines)} = {text}")
+        return f"%v{len(lines) - 1}"
+
+    writer = Numbers(made, declared, 1)
     for i, name in enumerate(sorted(LIBRARY)):
-        arguments = OPERATIONS[name].example
-        declared.append(f"declare double @{LIBRARY[name]}({', '.join(['double'] * len(arguments))})")
-        lines += [
-            f"  %f{i} = call double @{LIBRARY[name]}({', '.join(f'double {x:.20e}' for x in arguments)})",
-            f"  %p{i} = getelementptr inbounds double, ptr %to, i64 {i}",
-            f"  store double %f{i}, ptr %p{i}, align 8",
-        ]
+        value = writer.library(LIBRARY[name], *(writer.number(x, "double") for x in OPERATIONS[name].example))
+        lines.append(f"  store double {value}, ptr {made(f'getelementptr inbounds double, ptr %to, i64 {i}')}, align 8")
     quarter = ", ".join(["double 0.25"] * n)
     return "\n".join(
         [

@@ -1,0 +1,222 @@
+"""Mathematical functions in LLVM's language, for single numbers and for vectors alike.
+
+A mathematical library has functions of one number: a vector has to be taken to pieces, and put together again from
+what eight calls give. The functions here have no branches and no tables, so that one text serves a number and a vector
+of any width: whichever it is, a number gets the same bits.
+
+Each reduces its argument to a small interval, where a polynomial, or a quotient of two, is fitted in the sense of the
+smallest largest error; `benchmarks/fitted_functions.py` computes all coefficients, and measures errors and times.
+Exponentials are reduced by x = n ln 2 + r, in two steps, the first of which is exact, with or without fused operations
+(W. J. Cody and W. Waite, Software Manual for the Elementary Functions, 1980).
+
+`fmuladd` is one fused operation where the processor has it, for vectors as for numbers, and two operations elsewhere:
+LLVM's `fma` would be a call of a library there.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from spherejax.compiler.operations import DOUBLE, TRUTH, WHOLE, LlvmWriter
+
+_LN2 = 0.6931471805598903, 5.497923018708371e-14
+"""The logarithm of 2 as a number of 42 bits, whose products with whole numbers below 2^11 are exact, and the rest."""
+
+_LARGEST = 709.782712893384
+"""The largest number of which the exponential is one."""
+
+_INVERSE_LN2 = 1.4426950408889634
+
+_SHIFT = 1.5 * 2.0**52
+"""A sum with it is rounded to a whole number, which stands in its last bits."""
+
+_EXPONENTIAL = (
+    0.5, 0.1666666666666667, 0.041666666666666685, 0.008333333333326134, 0.0013888888888874415, 0.0001984126987482373,
+    2.4801587347285244e-05, 2.755725539650596e-06, 2.755725296106792e-07, 2.5105218434670143e-08,
+    2.0921575579002486e-09,
+)  # fmt: skip
+"""Of (e^r - 1 - r) / r^2 for |r| up to ln(2) / 2; within 1.4e-18."""
+
+_SMALL_TANH = 0.625
+"""Where the quotient of polynomials ends. There 1 - 2 / (e^2x + 1) has lost one bit to the difference."""
+
+_TANH_ABOVE = -0.33333333333333326, -0.02049685416131152, -0.00019909192188285064
+_TANH_BELOW = 1.0, 0.46149056248391995, 0.023288738854707683, 0.00020644150806046119
+"""Of (tanh(x) / x - 1) / x^2 by x^2; the error is within 6e-19 of tanh(x)."""
+
+
+class _Formulas:
+    """Writes formulas by a writer of LLVM's language."""
+
+    def __init__(self, text: LlvmWriter):
+        self._text, self.double, self._whole = text, text.type(DOUBLE), text.type(WHOLE)
+
+    def _number(self, a: str | float) -> str:
+        return a if isinstance(a, str) else self._text.number(a, DOUBLE)
+
+    def _bits(self, a: str | int) -> str:
+        return a if isinstance(a, str) else self._text.number(a, WHOLE)
+
+    def _operation(self, word: str) -> Callable[[Any, Any], str]:
+        return lambda a, b: self._text.made(f"{word} {self.double} {self._number(a)}, {self._number(b)}")
+
+    @property
+    def add(self) -> Callable[[Any, Any], str]:
+        return self._operation("fadd")
+
+    @property
+    def sub(self) -> Callable[[Any, Any], str]:
+        return self._operation("fsub")
+
+    @property
+    def mul(self) -> Callable[[Any, Any], str]:
+        return self._operation("fmul")
+
+    @property
+    def div(self) -> Callable[[Any, Any], str]:
+        return self._operation("fdiv")
+
+    def fma(self, a: str | float, b: str | float, c: str | float) -> str:
+        """a b + c."""
+        return self._text.intrinsic("fmuladd", DOUBLE, self._number(a), self._number(b), self._number(c))
+
+    def size_of(self, a: str) -> str:
+        return self._text.intrinsic("fabs", DOUBLE, a)
+
+    def with_sign(self, a: str, of: str) -> str:
+        return self._text.intrinsic("copysign", DOUBLE, a, of)
+
+    def chosen(self, how: str, a: str, b: float, then: str | float, otherwise: str | float) -> str:
+        """One of two numbers, by a comparison."""
+        is_it = self._text.made(f"fcmp {how} {self.double} {a}, {self._number(b)}")
+        numbers = f"{self.double} {self._number(then)}, {self.double} {self._number(otherwise)}"
+        return self._text.made(f"select {self._text.type(TRUTH)} {is_it}, {numbers}")
+
+    def within(self, a: str, low: float | None, high: float | None) -> str:
+        """A number not beyond bounds; NaN stays NaN."""
+        for how, bound in (("olt", low), ("ogt", high)):
+            a = a if bound is None else self.chosen(how, a, bound, bound, a)
+        return a
+
+    def polynomial(self, x: str, coefficients: Sequence[float], *powers: str) -> str:
+        """The sum of c_i x^i, by pairs, fours, eights (G. Estrin): in Horner's order each sum would wait for the last.
+
+        Args:
+            x: the variable.
+            coefficients: from the lowest degree on.
+            powers: x^2, x^4, ..., as far as they are known.
+        """
+        terms: list[Any] = list(coefficients)
+        while len(terms) > 1:
+            pairs = [self.fma(b, x, a) for a, b in zip(terms[::2], terms[1::2], strict=False)]
+            terms = pairs if len(terms) % 2 == 0 else [*pairs, terms[-1]]
+            if len(terms) > 1:
+                x, powers = (powers[0], powers[1:]) if powers else (self.mul(x, x), ())
+        return terms[0]
+
+    # Bits -------------------------------------------------------------------------------------------------------------
+
+    def whole(self, word: str, a: str | int, b: str | int) -> str:
+        """An operation on bits."""
+        return self._text.made(f"{word} {self._whole} {self._bits(a)}, {self._bits(b)}")
+
+    def bits_of(self, a: str) -> str:
+        return self._text.made(f"bitcast {self.double} {a} to {self._whole}")
+
+    def of_bits(self, a: str) -> str:
+        return self._text.made(f"bitcast {self._whole} {a} to {self.double}")
+
+    def power_of_two(self, n: str, plus: int = 0) -> str:
+        """2^(n + plus), for a whole number of which the last twelve bits are given."""
+        return self.of_bits(self.whole("add", self.whole("shl", n, 52), (1023 + plus) << 52))
+
+
+class _Reduced:
+    """x = n ln 2 + r, with n the nearest whole number.
+
+    Attributes:
+        n: its last twelve bits are those of n.
+        r: the rest.
+        lost: what r lost when it was rounded.
+    """
+
+    def __init__(self, build: _Formulas, x: str):
+        shifted = build.fma(x, _INVERSE_LN2, _SHIFT)
+        self.n, minus = build.bits_of(shifted), build.sub(_SHIFT, shifted)
+        begin = build.fma(minus, _LN2[0], x)
+        self._build, self.r = build, build.fma(minus, _LN2[1], begin)
+        self._minus, self._begin = minus, begin
+
+    def lost(self) -> str:
+        build = self._build
+        return build.fma(self._minus, _LN2[1], build.sub(self._begin, self.r))
+
+    def expm1(self, first: str | None) -> str:
+        """e^r - 1 - r, or with r in front of it e^r - 1."""
+        build, r = self._build, self.r
+        square = build.mul(r, r)
+        fourth = build.mul(square, square)
+        # In two parts, so that they need not wait for each other.
+        near = build.polynomial(r, _EXPONENTIAL[:4], square)
+        far = build.polynomial(r, _EXPONENTIAL[4:], square, fourth)
+        begin = build.mul(square, near) if first is None else build.fma(square, near, first)
+        return build.fma(build.mul(square, fourth), far, begin)
+
+
+def _exp(build: _Formulas, x: str) -> str:
+    """2^n e^r; beyond the bounds, where r is any number, 0 or infinity.
+
+    The power is two factors: 2^1024 is no number, and the product of the first one is exact where the second one makes
+    it a subnormal number.
+    """
+    reduced = _Reduced(build, x)
+    # Of n + 2048, which is positive: AVX2 has no shift of whole numbers with a sign.
+    both = build.whole("sub", reduced.n, int(np.float64(_SHIFT).view(np.int64)) - 2048)
+    half = build.whole("lshr", both, 1)
+    power, other = build.power_of_two(half, -1024), build.power_of_two(build.whole("sub", both, half), -1024)
+    value = build.mul(build.fma(power, reduced.expm1(reduced.r), power), other)
+    # Chosen last, and not the argument first: nothing waits for it.
+    return build.chosen("ogt", build.size_of(x), 750.0, build.chosen("ogt", x, 0.0, np.inf, 0.0), value)
+
+
+def _expm1(build: _Formulas, x: str) -> str:
+    """2^n ((1 - 2^-n) + r + (e^r - 1 - r)), the first sum with what its rounding loses; -1 below the bound."""
+    reduced = _Reduced(build, x)
+    inverse = build.of_bits(build.whole("sub", 1023 << 52, build.whole("shl", reduced.n, 52)))
+    # Not beyond 2^1023, of which the inverse is no normal number.
+    whole = build.sub(1.0, build.chosen("ogt", x, 45.0, 0.0, inverse))
+    sum_of = build.add(whole, reduced.r)
+    lost = build.add(build.sub(reduced.r, build.sub(sum_of, whole)), reduced.lost())
+    value = build.add(sum_of, build.add(lost, reduced.expm1(None)))
+    # Twice, and 2^(n-1): 2^1024 is no number.
+    value = build.mul(build.add(value, value), build.power_of_two(reduced.n, -1))
+    value = build.chosen("olt", x, -45.0, -1.0, build.chosen("ogt", x, _LARGEST, np.inf, value))
+    return build.with_sign(value, x)
+
+
+def _tanh(build: _Formulas, x: str) -> str:
+    """A quotient of polynomials near 0, 1 - 2 / (e^2|x| + 1) further out; of both one quotient is divided.
+
+    From 20 on it is 1.
+    """
+    size = build.size_of(x)
+    square = build.mul(size, size)
+    above = build.mul(build.mul(size, square), build.polynomial(square, _TANH_ABOVE))
+    below = build.polynomial(square, _TANH_BELOW)
+    limited = build.within(size, None, 20.0)
+    reduced = _Reduced(build, build.add(limited, limited))
+    power = build.power_of_two(reduced.n)
+    sum_of = build.fma(power, reduced.expm1(reduced.r), build.add(power, 1.0))
+    top = build.chosen("olt", size, _SMALL_TANH, above, -2.0)
+    bottom = build.chosen("olt", size, _SMALL_TANH, below, sum_of)
+    first = build.chosen("olt", size, _SMALL_TANH, size, 1.0)
+    return build.with_sign(build.add(first, build.div(top, bottom)), x)
+
+
+def _by(formula: Callable[..., str]) -> Callable[..., str]:
+    return lambda text, *names: formula(_Formulas(text), *names)
+
+
+FUNCTIONS: dict[str, Callable[..., str]] = {"exp": _by(_exp), "expm1": _by(_expm1), "tanh": _by(_tanh)}
+"""By their names in the mathematical library; from a `LlvmWriter` and the names of arguments to that of the result."""
