@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from spherejax.compiler.emit.llvm_functions import FUNCTIONS
+from spherejax.compiler.emit.llvm_rows import rows_of
 from spherejax.compiler.emit.llvm_sums import COLUMNS, DOT, ROW, Columns, MultipleRow, WeightedSum, beside, loops_of
 from spherejax.compiler.native import ffi_abi
 from spherejax.compiler.operations import BOOL, DOUBLE, FLOAT, KINDS, OPERATIONS, WHOLE, Call
@@ -207,6 +208,8 @@ class FunctionText:
         # Over lanes, and for several runs, the values are vectors already.
         is_alone = n_runs == 1 and not any(self.spread.values())
         self.loops = loops_of(line, self.place) if is_alone else None
+        self.rows = rows_of(line, self._is_operation, LANES_AT_A_TIME) if is_alone else None
+        self._in_vectors: dict[int, tuple[str, tuple[int, ...]]] = {}
         self._arrays: dict[Any, str] = {}
         self._of_one = Numbers(self._made, self.declared, self._size(False))
         self._of_all_lanes = Numbers(self._made, self.declared, self._size(True))
@@ -276,11 +279,30 @@ class FunctionText:
 
     # Operations -------------------------------------------------------------------------------------------------------
 
+    def _is_operation(self, node: int) -> bool:
+        return node not in self.place and self.graph.operations[node] != "constant"
+
     def _node(self, node: int) -> str:
         graph, is_wide = self.graph, bool(self.spread[node])
         values = [self._value(a, is_wide) for a in graph.arguments[node]]
         writer = self._of_all_lanes if is_wide else self._of_one
         return OPERATIONS[graph.operations[node]].in_llvm(writer, _call(graph, node), *values)
+
+    def _row(self, nodes: tuple[int, ...]) -> None:
+        """Several uses of a function, as one of a vector."""
+        graph, first = self.graph, nodes[0]
+        writer = Numbers(self._made, self.declared, len(nodes))
+        typed = writer.type(DOUBLE)
+        vectors = []
+        for arguments in zip(*(graph.arguments[node] for node in nodes), strict=True):
+            vector = "poison"
+            for i, node in enumerate(arguments):
+                vector = self._made(f"insertelement {typed} {vector}, double {self._value(node, False)}, i64 {i}")
+            vectors.append(vector)
+        result = OPERATIONS[graph.operations[first]].in_llvm(writer, _call(graph, first), *vectors)
+        self._in_vectors[first] = result, nodes
+        for i, node in enumerate(nodes):
+            self.values[node] = self._made(f"extractelement {typed} {result}, i64 {i}")
 
     # Loops over vectors -----------------------------------------------------------------------------------------------
 
@@ -329,9 +351,16 @@ class FunctionText:
             if place is not None:
                 return self._entry(place)
             array = self._room(len(nodes))
-            for i, node in enumerate(nodes):
-                pointer = self._made(f"getelementptr inbounds double, ptr {array}, i64 {i}")
-                self.lines.append(f"  store double {self._value(node, False)}, ptr {pointer}, align 8")
+            at = 0
+            while at < len(nodes):
+                pointer = self._made(f"getelementptr inbounds double, ptr {array}, i64 {at}")
+                vector, row = self._in_vectors.get(nodes[at], ("", ()))
+                if row and nodes[at : at + len(row)] == row:
+                    self.lines.append(f"  store <{len(row)} x double> {vector}, ptr {pointer}, align 8")
+                    at += len(row)
+                else:
+                    self.lines.append(f"  store double {self._value(nodes[at], False)}, ptr {pointer}, align 8")
+                    at += 1
             self._arrays[nodes] = array
         return self._arrays[nodes]
 
@@ -382,8 +411,11 @@ class FunctionText:
 
     def _part(self, is_wide: bool) -> None:
         """What is over lanes, or what is not."""
-        for node in self.line.nodes:
-            if bool(self.spread[node]) != is_wide:
+        for node in self.line.nodes if self.rows is None else self.rows.order:
+            if bool(self.spread[node]) != is_wide or node in self.values:
+                continue
+            if self.rows is not None and node in self.rows.rows:
+                self._row(self.rows.rows[node])
                 continue
             if self.loops is not None and node in self.loops.sums:
                 self.values[node] = self._sum(self.loops.sums[node])
@@ -392,7 +424,7 @@ class FunctionText:
                 continue
             if node in self.place:
                 self.values[node] = self._read(node)
-            elif self.graph.operations[node] != "constant":
+            elif self._is_operation(node):
                 self.values[node] = self._node(node)
         # With its own part: what is not over lanes is written once, ahead of the loop.
         for i, (output, spread) in enumerate(zip(self.line.outputs, self.outputs_spread, strict=True)):
