@@ -15,8 +15,8 @@ VECTORS = {name for name, operation in OPERATIONS.items() if operation.library i
 """Operations that vectors have functions for."""
 
 SHORTEST = 8
-"""Uses of a function in a row, at least. Mechanisms have a few here and there, for which a line is not written in another
-order: all that comes before the functions would have to wait in memory for what comes behind them."""
+"""Uses of a function in a row, at least. Mechanisms have a few here and there, for which a line is not written in
+another order: all that comes before the functions would have to wait in memory for what comes behind them."""
 
 SMALLEST_REST = 3
 """Uses that are a vector behind whole ones, at least: it takes twice as long as a number."""
