@@ -26,6 +26,26 @@ def test_the_block_is_as_wide_as_the_platform_asks_for():
         assert widths.platform_of_runs() == "cpu"
 
 
+def test_lanes_are_as_many_as_the_runs_fill_as_often():
+    block = Block()
+    assert [block.width_for(n) for n in (1, 8, 23, 24, 25, 32, 33, 48, 49, 250)] == [
+        1,
+        8,
+        23,
+        24,
+        16,
+        16,
+        24,
+        24,
+        24,
+        24,
+    ]
+    assert Block(2, 1).width_for(5) == 2
+    for n_runs in range(1, 200):
+        width = block.width_for(n_runs)
+        assert -(-n_runs // width) == -(-n_runs // block.width)
+
+
 def test_a_sweep_takes_the_block_of_its_platform(monkeypatch):
     monkeypatch.setattr(widths, "platform_of_runs", lambda: "gpu")
     grid = {"gravity": np.linspace(1.0, 20.0, 40)}

@@ -93,7 +93,7 @@ class Queue:
         self.parameters, self.y0, self.ts, self.may_run, self.status = parameters, y0, ts, may_run, status
         self.t0, self.t_end = ts[0], ts[-1]
         self.n_jobs = y0.shape[0]
-        self.width = min(block.width, max(1, self.n_jobs))
+        self.width = block.width_for(self.n_jobs)
         self.narrow = self.width if block.narrow is None else min(block.narrow, self.width)
         # Where every run has a lane of its own nothing is fetched from the queue: of an ideal four-bar alone that would
         # be a seventh of the operations, and a quarter of the time that they take to compile.
