@@ -679,6 +679,59 @@ def test_arrays_of_many_entries_in_a_loop(small_ones_too, n, is_written):
         np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-15)
 
 
+def rows_by_loops(rate, of_inner):
+    """Rows of a long array, written by a loop in a loop that reads what the turn before it has written."""
+
+    def turn(state):
+        i, y, rows = state
+
+        def with_row(state):
+            j, y, rows = state
+            y = y + 0.01 * rate(y)
+            return j + 1, y, jax.lax.dynamic_update_index_in_dim(rows, y, 7 * i + j, 0)
+
+        def inner():
+            return jax.lax.while_loop(lambda state: state[0] < 5, with_row, (jnp.zeros((), jnp.int64), y, rows))
+
+        _, last, rows = of_inner(inner)()
+        return i + 1, last + 0.1 * rows[7 * jnp.maximum(i - 1, 0)], rows
+
+    start = jnp.zeros((), jnp.int64), ARGUMENTS[0], jnp.zeros((2000, ARGUMENTS[0].size))
+    return jax.lax.while_loop(lambda state: state[0] < 4, turn, start)
+
+
+def test_a_loop_around_a_loop_that_is_machine_code_already(small_ones_too):
+    """It calls the other one, which changes a large array in place."""
+    expected = jax.jit(lambda: rows_by_loops(field, lambda inner: inner))()
+    with machine_code.native_code():
+        whole = whole_loops(lambda: rows_by_loops(FIELD, whole_loops))
+        text = str(jax.make_jaxpr(whole)())
+        assert "loop_in_machine_code" in text
+        assert "while" not in text
+        found = jax.jit(whole)()
+        again = jax.jit(lambda: jax.lax.map(lambda _: whole(), jnp.zeros(3)))()
+    for one, other, third in zip(found, expected, again, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-13, atol=1e-15)
+        np.testing.assert_array_equal(third[2], one)
+
+
+def test_loops_around_two_loops_are_left_to_xla(small_ones_too):
+    def twice(rate, of_inner):
+        def turn(state):
+            i, y = state
+            return i + 1, y + of_inner(lambda: rows_by_loops(rate, of_inner))()[1] * y
+
+        return jax.lax.while_loop(lambda state: state[0] < 3, turn, (jnp.zeros((), jnp.int64), ARGUMENTS[0]))
+
+    expected = jax.jit(lambda: twice(field, lambda inner: inner))()
+    with machine_code.native_code():
+        whole = whole_loops(lambda: twice(FIELD, whole_loops))
+        assert "while" in str(jax.make_jaxpr(whole)())
+        found = jax.jit(whole)()
+    for one, other in zip(found, expected, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-13, atol=1e-15)
+
+
 @pytest.mark.parametrize("counts", [[2], [3, 1, 2], [0, 0]])
 def test_a_loop_whose_lanes_end_one_by_one(small_ones_too, counts):
     def run(y, n):

@@ -30,7 +30,7 @@ from spherejax.compiler import private
 from spherejax.compiler.array_operations import ARRAY_OPERATIONS
 from spherejax.compiler.emit.llvm_arrays import NotWrittenError
 from spherejax.compiler.native import compile as machine_code
-from spherejax.compiler.native.loops import looped
+from spherejax.compiler.native.loops import LOOP, looped
 from spherejax.compiler.operations import INNER_PROGRAM, OF_PRIMITIVE, inner_program
 from spherejax.compiler.primitive import is_called
 
@@ -109,7 +109,7 @@ def _calls(equation: Any) -> bool:
     """Whether machine code is called in an operation."""
     if equation.primitive.name == "straight_line":
         return is_called(equation.params["line"], equation.params["lanes"])
-    if equation.primitive.name in machine_code.TARGETS:
+    if equation.primitive.name in machine_code.TARGETS or equation.primitive.name == LOOP:
         return True
     return any(_calls(e) for inner in jex.jaxprs_in_params(equation.params) for e in inner.eqns)
 

@@ -3,7 +3,7 @@
 XLA calls a kernel for each few operations of a loop that calls machine code, and compiles each of them: half of a first
 call of a dry joint, and a sixth of its run time. A run on its own is a few arrays and many numbers. Here its loop is
 written in LLVM's language as a whole: loops and branches as they are, operations by their records, and calls of other
-machine code (stages of a step) by the frame that XLA would give them.
+machine code (stages of a step, and loops that have become machine code before) by the frame that XLA would give them.
 
 What has no rule is left to XLA, as a whole loop (`loop_fusion`).
 """
@@ -42,7 +42,10 @@ from spherejax.compiler.native import ffi_abi
 from spherejax.compiler.operations import INNER_PROGRAM, OF_PRIMITIVE, OPERATIONS, Call
 from spherejax.compiler.primitive import is_called
 
-_loop = jex.Primitive("loop_in_machine_code")
+LOOP = "loop_in_machine_code"
+"""The name of the operation."""
+
+_loop = jex.Primitive(LOOP)
 _loop.multiple_results = True
 
 
@@ -80,8 +83,9 @@ class WrittenLoop(NamedTuple):
     in_place: tuple[tuple[int, int], ...]
 
 
-PREFIX = "spherejaxloop_"
-"""Of the names of these functions; they come behind those that they call."""
+PREFIX, PREFIX_AROUND = "spherejaxloop_", "spherejaxloops_"
+"""Of the names of these functions, and of those that call some of them. Names are loaded in alphabetical order: each
+comes behind those that it calls."""
 
 
 LARGEST_AROUND_ARRAYS = 35_000
@@ -97,9 +101,15 @@ def _shapes(*_: Any, results: tuple, **__: Any) -> list:
 
 def _lowered(context: Any, *arguments: Any, written: WrittenLoop, results: tuple) -> Sequence:
     del results
-    name = machine_code.target_of(written.text, is_wide=False, is_optimised=True, prefix=PREFIX)
+    name = _target_of(written)
     machine_code.note_ffi_targets([*written.called, name])
     return jax.ffi.ffi_lowering(name, operand_output_aliases=dict(written.in_place))(context, *arguments)
+
+
+def _target_of(written: WrittenLoop) -> str:
+    calls_loops = any(name.startswith(PREFIX) for name in written.called)
+    prefix = PREFIX_AROUND if calls_loops else PREFIX
+    return machine_code.target_of(written.text, is_wide=False, is_optimised=True, prefix=prefix)
 
 
 def _batched(arguments: Sequence, dims: Sequence, **how: Any) -> tuple[Sequence, Sequence]:
@@ -244,6 +254,8 @@ class LoopText:
             return self.loop(parameters, values, [None] * len(avals))
         if name == "scan":
             return self.scan(parameters, values, avals)
+        if name == LOOP:
+            return self.other_loop(parameters["written"], values, avals)
         if name == "cond":
             return self.branch(parameters["branches"], values)
         if name == "platform_index":  # of `jax.lax.platform_dependent`: this text is for the CPU alone
@@ -451,7 +463,7 @@ class LoopText:
                 continue
             first = outs[0][at]
             if first.size and any(out[at].name != first.name for out in outs):
-                raise NotWrittenError("branches that return large arrays")
+                raise TooManyEntriesError("branches that return large arrays")
             merged.append(first._replace(version=first.memory.version) if first.memory else first)
         return merged
 
@@ -476,16 +488,42 @@ class LoopText:
         self.text.say(f"call void @{name}({', '.join(f'ptr {pointer}' for pointer in pointers)})")
         return [self._held(result) for result in results]
 
-    def call(self, name: str, values: Sequence[Value], avals: Sequence[Any]) -> list[Value]:
-        """Machine code that XLA could call as well: it finds what it needs in a frame."""
+    def other_loop(self, written: WrittenLoop, values: Sequence[Value], avals: Sequence[Any]) -> list[Value]:
+        """A loop that has become machine code before; its large arrays stay where they are, and it changes them."""
+        if any(name.startswith(PREFIX) for name in written.called):
+            raise NotWrittenError("a loop around a loop around a loop")
+        self.called.update(dict.fromkeys(written.called))
+        results: list[Value | None] = [None] * len(avals)
+        for argument, result in written.in_place:
+            value = values[argument]
+            if value.memory is None or not value.memory.is_own:
+                raise NotWrittenError("a loop that changes a large array of somebody else")
+            results[result] = value
+        return self.call(_target_of(written), values, avals, results)
+
+    def call(
+        self, name: str, values: Sequence[Value], avals: Sequence[Any], in_place: Sequence[Value | None] | None = None
+    ) -> list[Value]:
+        """Machine code that XLA could call as well: it finds what it needs in a frame.
+
+        Args:
+            name: of its target.
+            values: its arguments.
+            avals: what its results are.
+            in_place: arrays that become results, each in place of its own; None for those that get room.
+        """
         text = self.text
         self.called[name] = None
         text.declared[f"declare ptr @{name}(ptr)"] = None
-        results = [self._room(aval) for aval in avals]
+        addresses = [*map(self._address, values)]
+        kept = in_place or [None] * len(avals)
+        results = [
+            self._room(aval) if own is None else text.changed(own) for own, aval in zip(kept, avals, strict=True)
+        ]
         # The other machine code keeps to XLA's interface, so that the same object code serves both callers.
         frame = self._frame(len(values), len(results))
         for pointers, parts in (
-            (frame.arguments, [*map(self._address, values)]),
+            (frame.arguments, addresses),
             (frame.results, [r.name for r in results]),
         ):
             for pointer, part in zip(pointers, parts, strict=True):

@@ -170,7 +170,8 @@ class _Stretches(NamedTuple):
         at: index of the coming one.
         goes_back: whether the end of the run has been reached.
         is_sound: whether no stretch has failed.
-        times, rows: where each begins [s], and state and sensitivity there.
+        times, rows: where each begins but for the first one [s], and state and sensitivity there.
+        log: the steps of the last one.
         sweep: of those behind.
     """
 
@@ -179,6 +180,7 @@ class _Stretches(NamedTuple):
     is_sound: Bool[Array, ""]
     times: Float[Array, " n"]
     rows: Float[Array, "n 2 size"]
+    log: StepLog
     sweep: _Sweep
 
 
@@ -264,11 +266,13 @@ def _pulled_back(plan: Plan, method: RunMethod, inputs: RunInputs, by_ys, by_ass
         jnp.zeros((), jnp.int64),
         jnp.array(False),
         jnp.asarray(job.may_run),
-        uninitialized((N_STRETCHES,)).at[0].set(ts[0]),
-        uninitialized((N_STRETCHES, *job.y0.shape)).at[0].set(job.y0),
+        uninitialized((N_STRETCHES,)),
+        uninitialized((N_STRETCHES, *job.y0.shape)),
+        StepLog.of_nothing(1, back.room, 0, job.y0.shape),
         sweep,
     )
-    swept = jax.lax.while_loop(_goes_on, partial(_with_stretch, problem, job, ts[-1], back), stretches)
+    turn = partial(_with_stretch, problem, job, ts[jnp.array([0, -1])], back)
+    swept = native_run(lambda: jax.lax.while_loop(_goes_on, turn, stretches), back.is_native, joins=False)
     # Samples at the start are the start.
     is_first = (jnp.arange(ts.shape[0]) <= swept.sweep.sample)[:, None]
     by_start = swept.sweep.by_state + jnp.sum(jnp.where(is_first, by_ys, 0.0), axis=0)
@@ -309,14 +313,16 @@ def _goes_on(stretches: _Stretches) -> Bool[Array, ""]:
     return (stretches.at >= 0) & stretches.is_sound
 
 
-def _with_stretch(problem: LaneProblem, job: Job, t_end, back: "_StepsBack", stretches: _Stretches) -> _Stretches:
+def _with_stretch(problem: LaneProblem, job: Job, ts, back: "_StepsBack", stretches: _Stretches) -> _Stretches:
     """A stretch is made: on the way to the end its own end is noted, on the way back its steps are gone back."""
     at = stretches.at
-    t, rows = stretches.times[at], stretches.rows[at]
-    ends = jnp.stack([t, t_end])
+    # The first one begins with the run. Written to the rows, that would be a copy of all of them.
+    is_first = at == 0
+    t, rows = jnp.where(is_first, ts[0], stretches.times[at]), jnp.where(is_first, job.y0, stretches.rows[at])
+    ends = jnp.stack([t, ts[1]])
     own = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], (job.numbers, rows, stretches.is_sound, job.status))
     numbers, first, may_run, status = own
-    outcome, log = steps_in_lanes(problem, numbers, first, ends, may_run, status, Block(), back.room, ())
+    outcome, log = steps_in_lanes(problem, numbers, first, ends, may_run, status, Block(), back.room, (), stretches.log)
     n_steps, is_full = outcome.n_accepted[0], outcome.status[0] == Status.TOO_MANY_STEPS
     is_sound = (outcome.status[0] == Status.SUCCEEDED) | (is_full & (n_steps > 0))
     notes = is_full & ~stretches.goes_back
@@ -334,6 +340,7 @@ def _with_stretch(problem: LaneProblem, job: Job, t_end, back: "_StepsBack", str
         is_sound,
         stretches.times.at[coming].set(jnp.where(notes, outcome.t_reached[0], stretches.times[coming])),
         stretches.rows.at[coming].set(jnp.where(notes, outcome.y_reached[0], stretches.rows[coming])),
+        log,
         sweep,
     )
 
@@ -371,15 +378,18 @@ class _StepsBack:
 
     def along(self, log: StepLog, n_steps, t0, y0, sweep: _Sweep) -> _Sweep:
         """Back along the steps of a stretch that begins at t0 [s] in the state y0."""
-        ends, states = log.times[0, :, -1], log.states[0, :, -1, 0]
+
+        def end(i):
+            # Within the loop: ahead of it, XLA would copy the room for thousands of steps.
+            return log.times[0, i, -1], log.states[0, i, -1, 0]
 
         def one_step_back(carry):
             i, sweep = carry
             is_first = i == 0
-            before = jnp.maximum(i - 1, 0)
-            t, y = jnp.where(is_first, t0, ends[before]), jnp.where(is_first, y0, states[before])
+            t, y = end(jnp.maximum(i - 1, 0))
+            t, y = jnp.where(is_first, t0, t), jnp.where(is_first, y0, y)
             size, bend = log.trials[0, i, 0], log.trials[0, i, 1]
-            return i - 1, self._step_back(t, y, ends[i], states[i], size, bend, sweep)
+            return i - 1, self._step_back(t, y, *end(i), size, bend, sweep)
 
         def all_back():
             return jax.lax.while_loop(lambda carry: carry[0] >= 0, one_step_back, (n_steps - 1, sweep))[1]

@@ -18,7 +18,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from spherejax.foundations.lanes import in_lanes, with_rows_at
 from spherejax.motion.integration.audit import Watch
-from spherejax.motion.integration.compiling import native_run, uninitialized
+from spherejax.motion.integration.compiling import native_run
 from spherejax.motion.integration.lanes.account import AccountLayout, written
 from spherejax.motion.integration.lanes.control import BlockSteps, Repeating, clipped, told_by
 from spherejax.motion.integration.lanes.first_step import N_LOOKS, InitialStepProbe
@@ -62,6 +62,7 @@ def steps_in_lanes(
     block: Block,
     capacity: int,
     shares: tuple[float, ...],
+    log: StepLog | None = None,
 ) -> tuple[LaneOutcome, StepLog]:
     """As `run_in_lanes`, with a row for each step that was kept.
 
@@ -70,8 +71,9 @@ def steps_in_lanes(
             step come of what samples come of.
         capacity: rows of each run; of a run with more steps the rest is not written.
         shares: where inside each step the state is wanted, in (0, 1).
+        log: what the rows are written into, of `StepLog.of_nothing`; None for a new one.
     """
-    outcome, log = _worked_off(problem, parameters, y0, ts, may_run, status, block, capacity, shares)
+    outcome, log = _worked_off(problem, parameters, y0, ts, may_run, status, block, capacity, shares, log)
     assert log is not None
     return outcome, log
 
@@ -86,9 +88,19 @@ class Queue:
     """The functions of one lane and of a block, with the queue at hand; lives while a program is traced."""
 
     def __init__(
-        self, problem: LaneProblem, parameters, y0, ts, may_run, status, block: Block, capacity: int = 0, shares=()
+        self,
+        problem: LaneProblem,
+        parameters,
+        y0,
+        ts,
+        may_run,
+        status,
+        block: Block,
+        capacity: int = 0,
+        shares=(),
+        log: StepLog | None = None,
     ):
-        self.problem = problem
+        self.problem, self.log = problem, log
         self.capacity, self.shares = capacity, tuple(shares)
         self.parameters, self.y0, self.ts, self.may_run, self.status = parameters, y0, ts, may_run, status
         self.t0, self.t_end = ts[0], ts[-1]
@@ -252,7 +264,10 @@ class Queue:
         width, narrow = self.width, self.narrow
         lanes = self.begun()
         # Times that go back are the start of nothing; a run that is asked for them is not made.
-        is_start = (jnp.cumsum(self.ts != self.t0) == 0).reshape(-1, *(1 for _ in self.y0.shape[1:]))
+        is_later = self.ts != self.t0
+        # Of two times without a sum along them, which machine code has not.
+        is_start = ~is_later if len(self.ts) <= 2 else jnp.cumsum(is_later) == 0
+        is_start = is_start.reshape(-1, *(1 for _ in self.y0.shape[1:]))
         correct = None if self.corrects_late else self.problem.correct
         # The start is corrected as all samples are; the integration begins with what it was given.
         first = self.y0 if correct is None else jax.vmap(correct, (0, None, 0))(self.parameters, self.t0, self.y0)
@@ -261,9 +276,10 @@ class Queue:
         looks = InitialStepProbe.of_nothing(lanes.y) if self.looks else None
         log = None
         if self.capacity:
-            rows = self.n_jobs * self.capacity, len(self.shares) + 1
-            # Not filled: most runs write few of these rows.
-            log = StepLog(*map(uninitialized, (rows, (*rows, *self.y0.shape[1:]), (rows[0], 2))))
+            log = self.log
+            if log is None:
+                log = StepLog.of_nothing(self.n_jobs, self.capacity, len(self.shares), self.y0.shape[1:])
+            log = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), log)
         last = self.nothing_last(lanes)
         rows = account.rows(self.n_jobs)
         carry = lanes, jnp.asarray(width), rows, ys, jnp.zeros((), jnp.int64), log, looks, last

@@ -8,11 +8,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from spherejax.motion.integration.audit import Audit, Watch
+from spherejax.motion.integration.compiling import uninitialized
 from spherejax.motion.integration.sampling import SampledElements
 from spherejax.motion.integration.status import Status
 from spherejax.motion.integration.unseen import Unseen
 from spherejax.motion.solvers.landing import ContactFunctions
-
 
 IN_A_GROUP = 8
 """Lanes that machine code takes at a time."""
@@ -107,6 +107,13 @@ class StepLog(NamedTuple):
     times: Float[Array, "n_jobs capacity k+1"]
     states: Float[Array, "n_jobs capacity k+1 ..."]
     trials: Float[Array, "n_jobs capacity 2"]
+
+    @classmethod
+    def of_nothing(cls, n_jobs: int, capacity: int, n_shares: int, shape: tuple[int, ...]) -> "StepLog":
+        """Room for the steps of so many runs, of states of a shape."""
+        # Not filled: most runs write few of these rows.
+        rows = n_jobs, capacity, n_shares + 1
+        return cls(*map(uninitialized, (rows, (*rows, *shape), (*rows[:2], 2))))
 
 
 class Lane(NamedTuple):
