@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from spherejax.compiler.emit.llvm_functions import FUNCTIONS
+from spherejax.compiler.emit.llvm_functions import FUNCTIONS, OF_VECTORS_ALONE
 from spherejax.compiler.emit.llvm_rows import rows_of
 from spherejax.compiler.emit.llvm_sums import COLUMNS, DOT, ROW, Columns, MultipleRow, WeightedSum, beside, loops_of
 from spherejax.compiler.native import ffi_abi
@@ -117,8 +117,8 @@ class Numbers:
 
     def library(self, word: str, *names: str) -> str:
         """A function of the mathematical library: our own, or one of one number after the other."""
-        if word in FUNCTIONS:
-            return self._ours(word, *names)
+        if word in FUNCTIONS and (self._size > 1 or word not in OF_VECTORS_ALONE):
+            return self.ours(word, *names)
         needs = ", ".join(["double"] * len(names))
         # `memory(none)`: nobody reads `errno`, so that equal calls are made once and unused ones not at all.
         self._declared[f"declare double @{word}({needs}) nounwind willreturn memory(none)"] = None
@@ -131,7 +131,7 @@ class Numbers:
             whole = self.made(f"insertelement {typed} {whole}, double {result}, i64 {i}")
         return whole
 
-    def _ours(self, word: str, *names: str) -> str:
+    def ours(self, word: str, *names: str) -> str:
         """A call of one of `llvm_functions`; vectors of three, five, ... numbers are filled up with their first one."""
         size = 1 << (self._size - 1).bit_length()
         declared, function = _function(word, size, len(names))

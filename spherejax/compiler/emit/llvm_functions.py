@@ -46,6 +46,17 @@ _TANH_BELOW = 1.0, 0.46149056248391995, 0.023288738854707683, 0.0002064415080604
 """Of (tanh(x) / x - 1) / x^2 by x^2; the error is within 6e-19 of tanh(x)."""
 
 
+_LOGARITHM = (
+    0.666666666666667, 0.3999999999989852, 0.28571428626367495, 0.2222221107770512, 0.1818289287882178,
+    0.15331607967599223, 0.14617738802323157,
+)  # fmt: skip
+"""Of (2 artanh(s) - 2 s) / s^3 by s^2, for s of f = sqrt(2) - 1; within 3.1e-16, of which s^3 is left."""
+
+
+def _bits(x: float) -> int:
+    return int(np.float64(x).view(np.int64))
+
+
 class _Formulas:
     """Writes formulas by a writer of LLVM's language."""
 
@@ -172,7 +183,7 @@ def _exp(build: _Formulas, x: str) -> str:
     """
     reduced = _Reduced(build, x)
     # Of n + 2048, which is positive: AVX2 has no shift of whole numbers with a sign.
-    both = build.whole("sub", reduced.n, int(np.float64(_SHIFT).view(np.int64)) - 2048)
+    both = build.whole("sub", reduced.n, _bits(_SHIFT) - 2048)
     half = build.whole("lshr", both, 1)
     power, other = build.power_of_two(half, -1024), build.power_of_two(build.whole("sub", both, half), -1024)
     value = build.mul(build.fma(power, reduced.expm1(reduced.r), power), other)
@@ -214,9 +225,83 @@ def _tanh(build: _Formulas, x: str) -> str:
     return build.with_sign(build.add(first, build.div(top, bottom)), x)
 
 
+class _Split:
+    """u = 2^k m, m from sqrt(1/2) to sqrt(2), of a positive normal number.
+
+    Attributes:
+        k: a number.
+        m: the rest.
+        inverse: 2^-k.
+    """
+
+    def __init__(self, build: _Formulas, u: str):
+        bits = build.bits_of(u)
+        beyond = build.whole("sub", bits, _bits(np.sqrt(0.5)))
+        power = build.whole("and", beyond, -1 << 52)
+        self.m = build.of_bits(build.whole("sub", bits, power))
+        self.inverse = build.of_bits(build.whole("sub", 1023 << 52, power))
+        # k + 1024 in the last bits of 2^52: there are processors that have no vectors of whole numbers as doubles.
+        positive = build.whole("lshr", build.whole("add", beyond, 1024 << 52), 52)
+        self.k = build.sub(build.of_bits(build.whole("or", positive, _bits(2.0**52))), 2.0**52 + 1024)
+
+
+def _logarithm(build: _Formulas, k: str, f: str, more: Callable[[str], str] | None = None) -> str:
+    """k ln 2 + ln(1 + f), and what `more` makes of f^2 / 2.
+
+    With s = f / (2 + f) it is ln(1 + f) = 2 artanh(s) = 2 s + s^3 R(s^2), and 2 s = f - f^2 / 2 + s f^2 / 2, of which
+    the first two terms are large and the last one is small.
+    """
+    s = build.div(f, build.add(f, 2.0))
+    half_square = build.mul(build.mul(f, f), 0.5)
+    square = build.mul(s, s)
+    rest = build.fma(square, build.polynomial(square, _LOGARITHM), half_square)
+    small = build.mul(k, _LN2[1]) if more is None else build.fma(k, _LN2[1], more(half_square))
+    return build.fma(k, _LN2[0], build.sub(f, build.sub(half_square, build.fma(s, rest, small))))
+
+
+def _log(build: _Formulas, x: str) -> str:
+    """By the power of two in x; of subnormal numbers by that of 2^54 x."""
+    normal = build.chosen("olt", x, 2.0**-1022, build.mul(x, 2.0**54), x)
+    split = _Split(build, normal)
+    k = build.sub(split.k, build.chosen("olt", x, 2.0**-1022, 54.0, 0.0))
+    return _of_positive(build, x, 0.0, _logarithm(build, k, build.sub(split.m, 1.0)))
+
+
+def _log1p(build: _Formulas, x: str) -> str:
+    """By the power of two in u = 1 + x, whose rounding error c is added as 2^-k c / m; where k is 0, of x itself."""
+    u = build.add(x, 1.0)
+    split = _Split(build, u)
+    # Beyond 2^54 u is x, and 2^-k may be no normal number.
+    c = build.mul(build.sub(x, build.sub(u, 1.0)), build.chosen("olt", x, 2.0**54, split.inverse, 0.0))
+    f = build.chosen("oeq", split.k, 0.0, x, build.sub(split.m, 1.0))
+    c = build.chosen("oeq", split.k, 0.0, 0.0, c)
+
+    def more(half_square: str) -> str:  # 1 / m to one digit is enough: 1 - f + f^2
+        return build.mul(c, build.fma(half_square, 2.0, build.sub(1.0, f)))
+
+    value = _logarithm(build, split.k, f, more)
+    return build.with_sign(_of_positive(build, x, -1.0, value), x)
+
+
+def _of_positive(build: _Formulas, x: str, end: float, value: str) -> str:
+    """A logarithm as it is above an end; there it is -infinity, below NaN, and of infinity and NaN what these are."""
+    value = build.chosen("olt", x, np.inf, value, x)
+    return build.chosen("ole", x, end, build.chosen("oeq", x, end, -np.inf, np.nan), value)
+
+
 def _by(formula: Callable[..., str]) -> Callable[..., str]:
     return lambda text, *names: formula(_Formulas(text), *names)
 
 
-FUNCTIONS: dict[str, Callable[..., str]] = {"exp": _by(_exp), "expm1": _by(_expm1), "tanh": _by(_tanh)}
+FUNCTIONS: dict[str, Callable[..., str]] = {
+    "exp": _by(_exp),
+    "expm1": _by(_expm1),
+    "log": _by(_log),
+    "log1p": _by(_log1p),
+    "tanh": _by(_tanh),
+}
 """By their names in the mathematical library; from a `LlvmWriter` and the names of arguments to that of the result."""
+
+OF_VECTORS_ALONE = {"log", "log1p"}
+"""Those of which a single number is left to the library, whose tables are faster: a logarithm takes 3 ns in place of 5,
+in a vector 1. Both differ by rounding; so do, for other reasons, a run that is alone and the same one among others."""

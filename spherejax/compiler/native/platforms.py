@@ -14,7 +14,7 @@ import platform
 from typing import Any
 
 from spherejax.compiler.emit.llvm import Numbers
-from spherejax.compiler.emit.llvm_functions import FUNCTIONS
+from spherejax.compiler.emit.llvm_functions import FUNCTIONS, OF_VECTORS_ALONE
 from spherejax.compiler.operations import LIBRARY, OPERATIONS
 
 SETTING = "SPHEREJAX_MACHINE_CODE"
@@ -86,7 +86,8 @@ def check(llvm: Any) -> str:
         machine = llvm.Target.from_triple(triple).create_target_machine(cpu=cpu, features=features, **how)
         # The symbols of the process are known to LLVM from its first engine on.
         engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
-        needed = [LIBRARY[name] for name in sorted(LIBRARY) if LIBRARY[name] not in FUNCTIONS] + ["memset", "memcpy"]
+        needed = [word for word in sorted(LIBRARY.values()) if word not in FUNCTIONS or word in OF_VECTORS_ALONE]
+        needed += ["memset", "memcpy"]
         needed += ["__chkstk"] if platform.system() == "Windows" else []
         missing = [name for name in needed if not llvm.address_of_symbol(name)]
         if missing:
