@@ -60,11 +60,47 @@ def log1p(x: Decimal) -> Decimal:
     return x - x * x / 2 + x**3 / 3  # 1 + x would lose digits of x; the next term is 1e-30 of this
 
 
+def sinh(x: Decimal) -> Decimal:
+    return (expm1(x) - expm1(-x)) / 2
+
+
+@cache
+def two_pi() -> Decimal:
+    """By J. Machin: pi = 16 arctan(1/5) - 4 arctan(1/239)."""
+    with decimal.localcontext(prec=100):
+        parts = [(Decimal((-1) ** k) / (2 * k + 1), 2 * k + 1) for k in range(80)]
+        return 2 * sum((a * (16 * Decimal("0.2") ** n - 4 / Decimal(239) ** n) for a, n in parts), Decimal(0))
+
+
+def sin(x: Decimal, quarters: int = 0) -> Decimal:
+    with decimal.localcontext(prec=100):
+        x = x + quarters * two_pi() / 4
+        x = x - (x / two_pi()).to_integral_value() * two_pi()
+    return alternating(x * x, 1) * x
+
+
+def alternating(square: Decimal, first: int) -> Decimal:
+    """The terms of a circular function from x^first on, over this power; the sign of the first one is positive."""
+    total, term = Decimal(0), 1 / Decimal(math.factorial(first))
+    for k in range(first + 1, first + 60, 2):
+        total, term = total + term, -term * square / (k * (k + 1))
+    return total
+
+
+def hyperbolic(square: Decimal, first: int) -> Decimal:
+    """The same of a hyperbolic function."""
+    return alternating(-square, first)
+
+
 EXACT: dict[str, Function] = {
+    "cos": lambda x: sin(x, 1),
+    "cosh": lambda x: (x.exp() + (-x).exp()) / 2,
     "exp": Decimal.exp,
     "expm1": expm1,
     "log": Decimal.ln,
     "log1p": log1p,
+    "sin": sin,
+    "sinh": sinh,
     "tanh": tanh,
 }
 BEGINS = {"log": 0.0, "log1p": -1.0}
@@ -132,14 +168,23 @@ def fitted(function: Function, weight: Function, low: Decimal, high: Decimal, ab
 def coefficients() -> None:
     one, half = Decimal(1), Decimal(2).ln() / 2 * Decimal("1.0001")  # a little more: n is rounded
     first = Decimal(math.floor(Decimal(2).ln() * 2**42)) / 2**42
+    quarter = two_pi() / 4
+    begin = Decimal(math.floor(quarter * 2**35)) / 2**35
+    then = Decimal(math.floor((quarter - begin) * 2**71)) / 2**71
+    print("half of pi:", float(begin), float(then), float(quarter - begin - then), "its inverse:", float(1 / quarter))
     print("logarithm of 2:", float(first), float(Decimal(2).ln() - first), "its inverse:", float(1 / Decimal(2).ln()))
 
     def of_tanh(square: Decimal) -> Decimal:
         x = square.sqrt()
         return (tanh(x) / x - 1) / square
 
+    tiny, in_hyperbolic, in_circular = Decimal("1e-12"), half * half, (two_pi() / 8 * Decimal("1.0001")) ** 2
     largest = ((Decimal(2).sqrt() - 1) / (Decimal(2).sqrt() + 1)) ** 2
     fits = {
+        "sine": fitted(lambda u: -alternating(u, 3), lambda u: one, tiny, in_circular, 5),
+        "cosine": fitted(lambda u: alternating(u, 4), lambda u: one, tiny, in_circular, 5),
+        "sinh": fitted(lambda u: hyperbolic(u, 3), lambda u: one, tiny, in_hyperbolic, 4),
+        "cosh": fitted(lambda u: hyperbolic(u, 2), lambda u: one, tiny, in_hyperbolic, 4),
         "logarithm": fitted(lambda u: 2 * artanh(u.sqrt(), 1), lambda u: one, Decimal("1e-12"), largest, 6),
         "exponential": fitted(lambda r: series(r, 2), lambda r: one, -half, half, 10),
         "tanh": fitted(of_tanh, lambda u: u, Decimal("1e-12"), Decimal("0.625") ** 2, 2, 3),
@@ -240,6 +285,7 @@ def largest_error(name: str, run: Callable[[np.ndarray], np.ndarray], x: np.ndar
     """In units of the last digit; infinite where an infinity is wrong."""
     worst, limit = 0.0, Decimal(2) ** 1024 - Decimal(2) ** 970
     x = x[x > BEGINS[name]] if name in BEGINS else np.clip(x, -2000, 2000)
+    x = x * 50 if name in ("sin", "cos") else x
     for argument, result in zip(x, run(x), strict=True):
         exact = EXACT[name](Decimal(float(argument)))
         if abs(exact) >= limit or not math.isfinite(result):

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from spherejax.compiler.emit.llvm_functions import FUNCTIONS, OF_VECTORS_ALONE
+from spherejax.compiler.emit.llvm_functions import FUNCTIONS, OF_VECTORS_ALONE, WITHIN
 from spherejax.compiler.emit.llvm_rows import rows_of
 from spherejax.compiler.emit.llvm_sums import COLUMNS, DOT, ROW, Columns, MultipleRow, WeightedSum, beside, loops_of
 from spherejax.compiler.native import ffi_abi
-from spherejax.compiler.operations import BOOL, DOUBLE, FLOAT, KINDS, OPERATIONS, WHOLE, Call
+from spherejax.compiler.operations import BOOL, DOUBLE, FLOAT, KINDS, OPERATIONS, TRUTH, WHOLE, Call
 
 LARGEST_FRAME = 2**18
 """Bytes of values that a function may have at once, at most: lanes are taken fewer at a time in larger programs, for a
@@ -116,9 +116,13 @@ class Numbers:
         return f"v{self._size}{element}" if self._size > 1 else element
 
     def library(self, word: str, *names: str) -> str:
-        """A function of the mathematical library: our own, or one of one number after the other."""
+        """A function of the mathematical library, or ours in its place."""
         if word in FUNCTIONS and (self._size > 1 or word not in OF_VECTORS_ALONE):
             return self.ours(word, *names)
+        return self.of_library(word, *names)
+
+    def of_library(self, word: str, *names: str) -> str:
+        """A function of the mathematical library, of one number after the other: it has none of vectors."""
         needs = ", ".join(["double"] * len(names))
         # `memory(none)`: nobody reads `errno`, so that equal calls are made once and unused ones not at all.
         self._declared[f"declare double @{word}({needs}) nounwind willreturn memory(none)"] = None
@@ -165,12 +169,22 @@ def _function(word: str, size: int, n_arguments: int) -> tuple[tuple[str, ...], 
     declared: dict[str, None] = {}
     writer, names = Numbers(made, declared, size), [f"%x{i}" for i in range(n_arguments)]
     result, typed = FUNCTIONS[word](writer, *names), writer.type(DOUBLE)
+    if word in WITHIN:
+        # Arguments beyond are rare, and NaN is one of them: all numbers of a vector are looked at together.
+        of_truths, bits = writer.type(TRUTH), f"i{size}"
+        bound = writer.number(WITHIN[word], DOUBLE)
+        is_near = made(f"fcmp ole {typed} {writer.intrinsic('fabs', DOUBLE, names[0])}, {bound}")
+        are_near = made(f"bitcast {of_truths} {is_near} to {bits}") if size > 1 else is_near
+        are_all = made(f"icmp eq {bits} {are_near}, -1")
+        lines += [f"  br i1 {are_all}, label %near, label %far", "near:", f"  ret {typed} {result}", "far:"]
+        result = made(f"select {of_truths} {is_near}, {typed} {result}, {typed} {writer.of_library(word, *names)}")
+    lines.append(f"  ret {typed} {result}")
     # Not inlined, as loops over sums are not: a layer of a network would have 64 copies.
     begin = (
         f"define internal {typed} @{_name(word, size)}({', '.join(f'{typed} {name}' for name in names)}) "
         "noinline willreturn memory(none) nounwind {"
     )
-    return tuple(declared), "\n".join([begin, *lines, f"  ret {typed} {result}", "}", ""])
+    return tuple(declared), "\n".join([begin, *lines, "}", ""])
 
 
 class FunctionText:

@@ -1,13 +1,13 @@
 """Mathematical functions in LLVM's language, for single numbers and for vectors alike.
 
 A mathematical library has functions of one number: a vector has to be taken to pieces, and put together again from
-what eight calls give. The functions here have no branches and no tables, so that one text serves a number and a vector
-of any width: whichever it is, a number gets the same bits.
+what eight calls give. The functions here have neither tables nor branches, so that one text serves a number and a
+vector of any width, and gives a number the same bits in both.
 
 Each reduces its argument to a small interval, where a polynomial, or a quotient of two, is fitted in the sense of the
 smallest largest error; `benchmarks/fitted_functions.py` computes all coefficients, and measures errors and times.
-Exponentials are reduced by x = n ln 2 + r, in two steps, the first of which is exact, with or without fused operations
-(W. J. Cody and W. Waite, Software Manual for the Elementary Functions, 1980).
+Arguments are reduced by x = n ln 2 + r, or x = n pi / 2 + r, in steps all but the last of which are exact, with or
+without fused operations (W. J. Cody and W. Waite, Software Manual for the Elementary Functions, 1980).
 
 `fmuladd` is one fused operation where the processor has it, for vectors as for numbers, and two operations elsewhere:
 LLVM's `fma` would be a call of a library there.
@@ -25,6 +25,9 @@ _LN2 = 0.6931471805598903, 5.497923018708371e-14
 
 _LARGEST = 709.782712893384
 """The largest number of which the exponential is one."""
+
+_LARGEST_SINH = 710.4758600739439
+"""The same of the hyperbolic sine and cosine."""
 
 _INVERSE_LN2 = 1.4426950408889634
 
@@ -45,12 +48,41 @@ _TANH_ABOVE = -0.33333333333333326, -0.02049685416131152, -0.0001990919218828506
 _TANH_BELOW = 1.0, 0.46149056248391995, 0.023288738854707683, 0.00020644150806046119
 """Of (tanh(x) / x - 1) / x^2 by x^2; the error is within 6e-19 of tanh(x)."""
 
-
 _LOGARITHM = (
     0.666666666666667, 0.3999999999989852, 0.28571428626367495, 0.2222221107770512, 0.1818289287882178,
     0.15331607967599223, 0.14617738802323157,
 )  # fmt: skip
 """Of (2 artanh(s) - 2 s) / s^3 by s^2, for s of f = sqrt(2) - 1; within 3.1e-16, of which s^3 is left."""
+
+_HALF_PI = 1.5707963267923333, 2.5633441512663184e-12, 3.2820035428735005e-22
+"""Half of pi as two numbers of 36 bits, whose products with whole numbers below 2^17 are exact, and the rest."""
+
+_INVERSE_HALF_PI = 0.6366197723675814
+
+LARGEST_ANGLE = 1e5
+"""Of a sine; n is below 2^17."""
+
+_SINE = (
+    -0.16666666666666666, 0.008333333333330948, -0.00019841269836757695, 2.7557316101855958e-06,
+    -2.505113166489509e-08, 1.5918114424840847e-10,
+)  # fmt: skip
+"""Of (sin(r) - r) / r^3 by r^2 for |r| up to pi / 4; within 2e-17."""
+
+_COSINE = (
+    0.041666666666666664, -0.0013888888888887398, 2.480158729876497e-05, -2.755731727121815e-07,
+    2.0876146141661155e-09, -1.1382622210241963e-11,
+)  # fmt: skip
+"""Of (cos(r) - 1 + r^2 / 2) / r^4, as well; within 1.3e-18."""
+
+_SINH = (
+    0.16666666666666669, 0.008333333333330062, 0.00019841269863055054, 2.755726845731689e-06, 2.5100386840281308e-08,
+)  # fmt: skip
+"""Of (sinh(r) - r) / r^3 by r^2 for |r| up to ln(2) / 2; within 7.9e-18."""
+
+_COSH = (
+    0.5000000000000001, 0.04166666666662413, 0.0013888888917216048, 2.4801521291853554e-05, 2.7620090450917575e-07,
+)  # fmt: skip
+"""Of (cosh(r) - 1) / r^2, as well; within 1e-16."""
 
 
 def _bits(x: float) -> int:
@@ -137,6 +169,12 @@ class _Formulas:
 
     def of_bits(self, a: str) -> str:
         return self._text.made(f"bitcast {self._whole} {a} to {self.double}")
+
+    def by_bit(self, n: str, then: str, otherwise: str) -> str:
+        """One of two numbers, by the last bit of n."""
+        truth, numbers = self._text.type(TRUTH), f"{self.double} {then}, {self.double} {otherwise}"
+        is_odd = self._text.made(f"icmp ne {self._whole} {self.whole('and', n, 1)}, {self._bits(0)}")
+        return self._text.made(f"select {truth} {is_odd}, {numbers}")
 
     def power_of_two(self, n: str, plus: int = 0) -> str:
         """2^(n + plus), for a whole number of which the last twelve bits are given."""
@@ -289,19 +327,89 @@ def _of_positive(build: _Formulas, x: str, end: float, value: str) -> str:
     return build.chosen("ole", x, end, build.chosen("oeq", x, end, -np.inf, np.nan), value)
 
 
+def _hyperbolic(build: _Formulas, x: str, is_sine: bool) -> str:
+    """Of |x| = n ln 2 + r: (p - q) cosh(r) + (p + q) sinh(r), with p = 2^n / 2, q = 2^-n / 2; cosh: both signs changed.
+
+    The largest terms are added with what their rounding loses. Of twice the half, since 2^1024 is no number.
+    """
+    size = build.size_of(x)
+    reduced = _Reduced(build, size)
+    p = build.power_of_two(reduced.n, -2)
+    inverse = build.of_bits(build.whole("sub", 1021 << 52, build.whole("shl", reduced.n, 52)))
+    q = build.chosen("olt", size, 40.0, inverse, 0.0)  # not of 2^1023, of which it is no normal number
+    both, apart = build.add(p, q), build.sub(p, q)
+    even, odd = (apart, both) if is_sine else (both, apart)
+    r, square = reduced.r, build.mul(reduced.r, reduced.r)
+    above_one = build.mul(square, build.polynomial(square, _COSH))
+    beyond = build.fma(build.mul(r, square), build.polynomial(square, _SINH), reduced.lost())
+    small = build.fma(even, above_one, build.mul(odd, beyond))
+    linear = build.mul(odd, r)
+    total = build.add(even, linear)
+    value = build.add(total, build.add(build.sub(linear, build.sub(total, even)), small))
+    return build.chosen("ogt", size, _LARGEST_SINH, np.inf, build.add(value, value))
+
+
+def _sinh(build: _Formulas, x: str) -> str:
+    value = build.with_sign(_hyperbolic(build, x, is_sine=True), x)
+    return build.chosen("olt", build.size_of(x), 2.0**-28, x, value)  # half of a subnormal number may be none
+
+
+def _cosh(build: _Formulas, x: str) -> str:
+    return _hyperbolic(build, x, is_sine=False)
+
+
+def _circular(build: _Formulas, x: str, quarters: int) -> str:
+    """The sine of x + quarters pi / 2, by x = n pi / 2 + r in three steps; up to `LARGEST_ANGLE`."""
+    shifted = build.fma(x, _INVERSE_HALF_PI, _SHIFT)
+    number = build.sub(shifted, _SHIFT)
+    begin, second = build.fma(number, -_HALF_PI[0], x), build.mul(number, _HALF_PI[1])
+    first = build.sub(begin, second)
+    rest = build.fma(number, -_HALF_PI[2], build.sub(build.sub(begin, first), second))
+    r = build.add(first, rest)
+    lost = build.add(build.sub(first, r), rest)
+    square = build.mul(r, r)
+    half = build.mul(square, 0.5)
+    near_one = build.sub(1.0, half)
+    # sin(r + lost) = sin(r) + lost (1 - r^2 / 2), cos(r + lost) = cos(r) - lost r.
+    bent = build.mul(build.mul(r, square), build.polynomial(square, _SINE))
+    sine = build.add(r, build.fma(lost, near_one, bent))
+    bent = build.mul(build.mul(square, square), build.polynomial(square, _COSINE))
+    behind = build.sub(build.sub(build.sub(1.0, near_one), half), build.mul(lost, r))
+    cosine = build.add(near_one, build.add(behind, bent))
+    n = build.bits_of(shifted)
+    n = build.whole("add", n, quarters) if quarters else n
+    value = build.bits_of(build.by_bit(n, cosine, sine))
+    return build.of_bits(build.whole("xor", value, build.whole("shl", build.whole("and", n, 2), 62)))
+
+
+def _sin(build: _Formulas, x: str) -> str:
+    return build.chosen("olt", build.size_of(x), 2.0**-28, x, _circular(build, x, 0))  # -0 would be 0
+
+
+def _cos(build: _Formulas, x: str) -> str:
+    return _circular(build, x, 1)
+
+
 def _by(formula: Callable[..., str]) -> Callable[..., str]:
     return lambda text, *names: formula(_Formulas(text), *names)
 
 
 FUNCTIONS: dict[str, Callable[..., str]] = {
+    "cos": _by(_cos),
+    "cosh": _by(_cosh),
     "exp": _by(_exp),
     "expm1": _by(_expm1),
     "log": _by(_log),
     "log1p": _by(_log1p),
+    "sin": _by(_sin),
+    "sinh": _by(_sinh),
     "tanh": _by(_tanh),
 }
 """By their names in the mathematical library; from a `LlvmWriter` and the names of arguments to that of the result."""
 
-OF_VECTORS_ALONE = {"log", "log1p"}
+WITHIN = {"cos": LARGEST_ANGLE, "sin": LARGEST_ANGLE}
+"""The largest size of an argument of a function here; beyond it the library is asked for each number."""
+
+OF_VECTORS_ALONE = {"cos", "log", "log1p", "sin"}
 """Those of which a single number is left to the library, whose tables are faster: a logarithm takes 3 ns in place of 5,
 in a vector 1. Both differ by rounding; so do, for other reasons, a run that is alone and the same one among others."""
