@@ -136,6 +136,79 @@ def test_many_runs(order):
     np.testing.assert_allclose(slopes, np.broadcast_to(exact, several.shape), rtol=1e-6, atol=1e-10)
 
 
+def test_in_reverse_mode_a_run_is_made_once_and_keeps_its_steps():
+    """Where one program holds both: the value is that of the run with the sensitivity that the way back needs."""
+    value, gradient = jax.jit(jax.value_and_grad(wanted))(STRENGTHS)
+    assert float(value) == pytest.approx(float(np.asarray(WEIGHTS) @ exact_slopes() @ np.asarray(STRENGTHS)), rel=1e-7)
+    np.testing.assert_allclose(gradient, np.asarray(WEIGHTS) @ exact_slopes(), rtol=1e-7, atol=1e-10)
+
+    def operations(function):
+        return str(jax.make_jaxpr(function)(STRENGTHS))
+
+    assert "run_that_keeps_steps" in operations(jax.grad(wanted))
+    # Forward there is no way back, and side by side steps of all runs would take room that most of them do not need.
+    for other in (
+        lambda strengths: jax.jvp(wanted, (strengths,), (strengths,)),
+        lambda strengths: jax.vmap(jax.grad(wanted))(strengths[None]),
+        lambda strengths: jax.grad(lambda strengths: wanted(strengths, solver=diffrax.Kvaerno5()))(strengths),
+    ):
+        assert "run_that_keeps_steps" not in operations(other)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("way", ["room", "max_steps", "vmap", "jvp"])
+def test_a_run_that_keeps_no_steps_has_the_same_value_and_gradient(way, monkeypatch):
+    exact = np.asarray(WEIGHTS) @ exact_slopes()
+
+    def both(strengths, **options):
+        return jax.jit(jax.value_and_grad(lambda strengths: wanted(strengths, **options)))(strengths)
+
+    expected = float(exact @ np.asarray(STRENGTHS))
+    if way == "room":  # a fifth of the steps
+        n_steps = int(sj.simulate(driven(STRENGTHS), TS, rtol=1e-9).stats.n_accepted)
+        monkeypatch.setattr(pullback, "ROOM", n_steps // 5)
+        for function in (pullback.pulled_back, pullback.run_that_keeps_steps):
+            function.clear()
+        value, gradient = both(STRENGTHS)
+        for function in (pullback.pulled_back, pullback.run_that_keeps_steps):
+            function.clear()
+    elif way == "max_steps":
+        value, gradient = both(STRENGTHS, max_steps=3)
+        assert np.isnan(value)
+        assert np.isnan(gradient).all()
+        return
+    elif way == "vmap":
+        values, gradients = jax.vmap(both)(jnp.stack([STRENGTHS, 2 * STRENGTHS]))
+        np.testing.assert_allclose(values, [expected, 2 * expected], rtol=1e-7)
+        np.testing.assert_allclose(gradients, [exact, exact], rtol=1e-6, atol=1e-10)
+        return
+    else:  # of what is linear in the strengths
+        (value, gradient), (slope, none) = jax.jvp(both, (STRENGTHS,), (jnp.ones(N),))
+        assert float(slope) == pytest.approx(exact.sum(), rel=1e-6)
+        np.testing.assert_allclose(none, 0.0, atol=1e-6)
+    assert float(value) == pytest.approx(expected, rel=1e-7)
+    np.testing.assert_allclose(gradient, exact, rtol=1e-6, atol=1e-10)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("stiffness", [1e4, 1e9])
+def test_a_method_that_is_chosen_when_the_run_starts(stiffness):
+    """Where it is the stiff one, a run keeps no steps."""
+    scene = sj.gallery.four_bar(sj.Bushing(stiffness, 1e-3))
+    numbers, rest = eqx.partition(scene, lambda leaf: isinstance(leaf, float) or eqx.is_inexact_array(leaf))
+    flat, unflatten = jax.flatten_util.ravel_pytree(jax.tree.map(jnp.asarray, numbers))
+
+    def height(flat):
+        whole = eqx.combine(unflatten(flat), rest)
+        return sj.simulate(whole, jnp.linspace(0.0, 0.02, 4), rtol=1e-8).position("rocker")[-1, 2]
+
+    value, gradient = jax.jit(jax.value_and_grad(height))(flat)
+    assert float(value) == pytest.approx(float(jax.jit(height)(flat)), rel=1e-6)
+    along = jnp.asarray(np.random.default_rng(5).normal(size=flat.size)) * flat
+    slope = jax.jit(lambda flat: jax.jvp(height, (flat,), (along,))[1])(flat)
+    assert float(gradient @ along) == pytest.approx(float(slope), rel=1e-4)
+
+
 @pytest.mark.slow
 def test_second_derivatives_go_by_rows():
     """x is linear in the strengths; a square of it is not."""

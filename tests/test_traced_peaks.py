@@ -33,7 +33,7 @@ def test_the_peak_of_an_impact_and_its_derivative():
     np.testing.assert_allclose(times, [instants(0.4)[1], instants(0.5)[1]], rtol=1e-6)
     alone = hardest(0.5)
     assert alone.value == pytest.approx(float(values[1]), rel=5e-9)
-    assert alone.time == pytest.approx(float(times[1]), rel=1e-8)
+    assert alone.time == pytest.approx(float(times[1]), rel=1e-7)  # of a maximum, less is determined than of its value
 
 
 @pytest.mark.slow

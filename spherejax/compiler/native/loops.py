@@ -61,11 +61,17 @@ def looped(parameters: Any, values: Sequence[Any]) -> list[Any]:
     arrays = [jax.numpy.asarray(value) for value in values]
     avals = [ShapedArray(x.shape, x.dtype) for x in arrays]
     results = [ShapedArray(v.aval.shape, v.aval.dtype) for v in parameters["body_jaxpr"].jaxpr.outvars]
-    try:
-        written = LoopText(parameters, avals, results).whole()
-    except TooManyEntriesError:
-        # It computes with arrays of thousands of numbers. Those that it changes in place are larger, or it copies them.
-        written = LoopText(parameters, avals, results, LARGEST_COPIED).whole()
+    large = LARGE
+    while True:
+        try:
+            written = LoopText(parameters, avals, results, large).whole()
+            break
+        except TooManyEntriesError:
+            # It computes with arrays of thousands of numbers. Those that it changes in place are larger, or it copies
+            # them: the fewer these are the better.
+            if large >= LARGEST_COPIED:
+                raise
+            large *= 2
     return _loop.bind(*arrays, written=written, results=tuple(results))
 
 

@@ -1,16 +1,19 @@
 """The gradient of a run by many numbers under JAX's transformations: back along the steps of the run, once.
 
 Rows of sensitivities (`sensitivity_rows`) cost in proportion to the numbers: the gradient by the 1,185 weights of a
-force took as long as 3,000 runs. Here the run is made once more and keeps its steps y_0, y_1, ...; then lambda_n, the
-derivatives of what is wanted by y_n, follow from the last to the first,
+force took as long as 3,000 runs. Here the run keeps its steps y_0, y_1, ...; then lambda_n, the derivatives of what is
+wanted by y_n, follow from the last to the first,
 
     (lambda_n, mu_n) = (d(y_n+1, samples in the step)/d(y_n, numbers))^T (lambda_n+1, derivatives by these samples),
 
 and the sum of all mu_n are the derivatives by the numbers. Samples inside a step are the method's own interpolation
 between its stages, as in the run itself, so each step is evaluated once, with all of its samples.
 
-The repeated run carries one sensitivity along, by a mixture of all numbers, whose error is controlled with the state's:
-its steps are then short enough for derivatives, behind contact onsets as well (`sensitivity_rows`).
+The run that keeps them carries one sensitivity along, by a mixture of all numbers, whose error is controlled with the
+state's: its steps are then short enough for derivatives, behind contact onsets as well (`sensitivity_rows`). Where JAX
+asks for a value and its gradient in one program, that run gives the value as well (`run_that_keeps_steps`), within the
+same tolerances. Elsewhere (outside of `jax.jit`, and where `jax.jit` or `jax.vmap` stands between) the way back makes
+it once more.
 
 A compiled program has room for a fixed number of steps. A longer run is cut into stretches: the run goes to its end and
 notes the state at which each stretch begins; then each stretch, from the last to the first, is made once more and gone
@@ -35,18 +38,26 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from spherejax.foundations.checks import is_concrete
+from spherejax.foundations.types import Flag
 from spherejax.model.system import example_of
 from spherejax.motion.equations.contacts import kinks_of
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import Program, program_for
 from spherejax.motion.equations.projection import correction_reads_parameters
-from spherejax.motion.integration.compiling import in_machine_code, native_run, options_for, uninitialized
+from spherejax.motion.integration.compiling import (
+    for_one_run,
+    in_machine_code,
+    native_run,
+    options_for,
+    uninitialized,
+)
 from spherejax.motion.integration.implicit_rows import differentiable_solver
 from spherejax.motion.integration.jobs import Job, JobKind, with_slopes
 from spherejax.motion.integration.lanes import Block, LaneProblem, StepLog, steps_in_lanes
 from spherejax.motion.integration.lanes.stages import explicit_tableau, own_time
-from spherejax.motion.integration.one_run import lane_job, run_and_slopes
+from spherejax.motion.integration.one_run import integrated, lane_job, outcome_of_first_row, run_and_slopes
 from spherejax.motion.integration.problem import (
+    Outcome,
     Parameters,
     Plan,
     RunInputs,
@@ -59,6 +70,7 @@ from spherejax.motion.integration.problem import (
 from spherejax.motion.integration.sampling import samples_of
 from spherejax.motion.integration.sensitivity_rows import delay_weights
 from spherejax.motion.integration.status import SimulationWarning, Status
+from spherejax.motion.solvers.joint_rates import fastest_in_clearance
 from spherejax.motion.solvers.kinks import over_kink
 from spherejax.motion.solvers.rosenbrock import Rodas5P
 from spherejax.motion.solvers.traits import is_explicit, is_linearly_implicit
@@ -184,6 +196,31 @@ class _Stretches(NamedTuple):
     sweep: _Sweep
 
 
+class StepsKept(NamedTuple):
+    """The steps that a run has kept when it was made.
+
+    Attributes:
+        are_kept: whether it has: the run succeeded, and there was room for all of them.
+        n_steps: how many.
+        log: the steps.
+    """
+
+    are_kept: Flag
+    n_steps: Int[Array, ""]
+    log: StepLog
+
+    @classmethod
+    def of_nothing(cls, plan: Plan) -> "StepsKept":
+        """No steps."""
+        size = example_of(plan.structure).layout.size
+        log = StepLog.of_nothing(_room(plan), 0, (2, size))
+        return cls(jnp.array(False), jnp.zeros((), jnp.int64), log)
+
+
+def _room(plan: Plan) -> int:
+    return ROOM if contacts_of(plan.structure, plan.scalar) is None else ROOM_WITH_CONTACT
+
+
 def with_steps_back(solver: Any) -> Any:
     """The method whose steps are gone back: for one that is neither explicit nor a Rosenbrock method, Rodas5P."""
     return solver if is_explicit(solver) or is_linearly_implicit(solver) else Rodas5P()
@@ -197,6 +234,7 @@ def pulled_back(
     by_ys: Float[Array, "n size"],
     by_assembly: Any = None,
     along: Float[Array, " p"] | None = None,
+    kept: StepsKept | None = None,
 ) -> "Gradient":
     """The derivatives of a number by the traced numbers.
 
@@ -205,10 +243,62 @@ def pulled_back(
         by_ys: its derivatives by the sampled states.
         by_assembly: those by how the start was assembled; None where it does not depend on that.
         along: the direction in the numbers whose sensitivity is carried along; None for a mixture of all.
+        kept: the steps of the run, with the sensitivity by a mixture of all numbers; None where it has kept none.
     """
     # Straight lines of a thousand operations and more, back as well as forward, take XLA minutes.
     with program_for(state_rate, plan.structure, plan.scalar).native_code(in_machine_code(plan)):
-        return _pulled_back(plan, method, inputs, by_ys, by_assembly, along)
+        return _pulled_back(plan, method, inputs, by_ys, by_assembly, along, kept)
+
+
+def can_keep_steps(plan: Plan, method: RunMethod) -> bool:
+    """Whether `run_that_keeps_steps` makes the run as `run_of` makes it, but for the length of steps."""
+    is_on_same_programs = method.stiff_rest is not None or for_one_run(plan, method.rest) == plan
+    solver = method.solver
+    return is_on_same_programs and in_machine_code(plan) and with_steps_back(solver) is solver
+
+
+@cached_jit(what="a run that keeps its steps", options=options_for)
+def run_that_keeps_steps(plan: Plan, method: RunMethod, inputs: RunInputs) -> tuple[Outcome, StepsKept]:
+    """A run, and its steps for a gradient: made for both at once, with the sensitivity by a mixture of all numbers.
+
+    Of several runs under `jax.vmap` no steps are kept, whose room would be megabytes for each: they are made in lanes.
+    """
+    one = jax.custom_batching.custom_vmap(partial(_with_steps, plan))
+
+    @one.def_vmap
+    def in_lanes(n, is_mapped, method, inputs):
+        axes = jax.tree.map(lambda mapped: 0 if mapped else None, tuple(is_mapped))
+        outcome = jax.vmap(partial(integrated, plan), axes, axis_size=n)(method, inputs)
+        steps = StepsKept.of_nothing(plan)
+        is_own = jax.tree.map(lambda _: True, outcome), jax.tree.map(lambda _: False, steps)
+        return (outcome, steps), is_own
+
+    return one(method, inputs)
+
+
+def _with_steps(plan: Plan, method: RunMethod, inputs: RunInputs) -> tuple[Outcome, StepsKept]:
+    usual = method.decided
+    with program_for(state_rate, plan.structure, plan.scalar).native_code(in_machine_code(plan)):
+        job, problem = _as_mixture(plan, usual, inputs, None)
+        if method.stiff_rest is not None:
+            # A run for the other method keeps none: the way back makes its own.
+            fastest = fastest_in_clearance(plan.structure, plan.scalar, job.numbers.theta)
+            job = job._replace(may_run=job.may_run & (fastest <= method.limit))
+        lane = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], job)
+        room = _room(plan)
+        numbers, rows, may_run, status, _ = lane
+        log = StepLog.of_nothing(room, 0, job.y0.shape)
+        made, log = steps_in_lanes(problem, numbers, rows, inputs.ts, may_run, status, Block(), room, (), log)
+    made = jax.tree.map(lambda leaf: leaf[0], made._replace(n_lane_steps=made.n_lane_steps[None]))
+    # What went wrong, with how many steps, is what the run says that keeps none.
+    n_steps = made.n_accepted + made.n_rejected
+    are_kept = job.may_run & (made.status == Status.SUCCEEDED) & (n_steps <= method.max_steps)
+    outcome = jax.lax.cond(
+        are_kept,
+        lambda: outcome_of_first_row(usual, job, made),
+        lambda: integrated(plan, method, inputs),
+    )
+    return outcome, StepsKept(are_kept, made.n_accepted, log)
 
 
 def can_go_back(plan: Plan) -> bool:
@@ -237,8 +327,9 @@ def gradient_of(plan: Plan, method: RunMethod, inputs: RunInputs, directions, by
     return gradient.slopes
 
 
-def _pulled_back(plan: Plan, method: RunMethod, inputs: RunInputs, by_ys, by_assembly, along) -> Gradient:
-    values, known, ts = inputs.values, inputs.known, inputs.ts
+def _as_mixture(plan: Plan, method: RunMethod, inputs: RunInputs, along: Any) -> tuple[Job, LaneProblem]:
+    """The run with a sensitivity along a direction, and what its lane integrates."""
+    values = inputs.values
     if along is None:
         along = jnp.asarray(mixture_of(values.shape[0])[0] * plan.scales(values))
 
@@ -255,23 +346,28 @@ def _pulled_back(plan: Plan, method: RunMethod, inputs: RunInputs, by_ys, by_ass
         factor = factor * FACTOR_ELSEWHERE
     job = job._replace(numbers=job.numbers._replace(tangent_tolerance_factor=factor))
     kind = JobKind.of(plan, method, with_rows=True, moving=plan.unknown, by_steps=is_straight, is_mixture=True)
+    return job, kind.problem(inputs.ts, method.shared)._replace(max_steps=_room(plan))
+
+
+def _pulled_back(plan: Plan, method: RunMethod, inputs: RunInputs, by_ys, by_assembly, along, kept) -> Gradient:
+    values, known, ts = inputs.values, inputs.known, inputs.ts
+    job, problem = _as_mixture(plan, method, inputs, along)
     rate = program_for(state_rate, plan.structure, plan.scalar)
     parameters, to_values = jax.vjp(partial(parameters_from, plan, rate, known), values)
     back = _StepsBack(plan, method, rate, parameters, ts, by_ys)
-    problem = kind.problem(ts, method.shared)._replace(max_steps=back.room)
     n = jnp.asarray(ts.shape[0] - 1)
     none = jnp.zeros(())
     sweep = _Sweep(jnp.zeros(job.y0.shape[1:]), jax.tree.map(jnp.zeros_like, parameters), n, none, none)
     stretches = _Stretches(
         jnp.zeros((), jnp.int64),
-        jnp.array(False),
+        jnp.array(False) if kept is None else kept.are_kept,
         jnp.asarray(job.may_run),
         uninitialized((N_STRETCHES,)),
         uninitialized((N_STRETCHES, *job.y0.shape)),
-        StepLog.of_nothing(1, back.room, 0, job.y0.shape),
+        StepLog.of_nothing(_room(plan), 0, job.y0.shape) if kept is None else kept.log,
         sweep,
     )
-    turn = partial(_with_stretch, problem, job, ts[jnp.array([0, -1])], back)
+    turn = partial(_with_stretch, problem, job, ts[jnp.array([0, -1])], back, kept)
     swept = native_run(lambda: jax.lax.while_loop(_goes_on, turn, stretches), back.is_native, joins=False)
     # Samples at the start are the start.
     is_first = (jnp.arange(ts.shape[0]) <= swept.sweep.sample)[:, None]
@@ -313,18 +409,33 @@ def _goes_on(stretches: _Stretches) -> Bool[Array, ""]:
     return (stretches.at >= 0) & stretches.is_sound
 
 
-def _with_stretch(problem: LaneProblem, job: Job, ts, back: "_StepsBack", stretches: _Stretches) -> _Stretches:
+def _with_stretch(
+    problem: LaneProblem, job: Job, ts, back: "_StepsBack", kept: StepsKept | None, stretches: _Stretches
+) -> _Stretches:
     """A stretch is made: on the way to the end its own end is noted, on the way back its steps are gone back."""
     at = stretches.at
     # The first one begins with the run. Written to the rows, that would be a copy of all of them.
     is_first = at == 0
     t, rows = jnp.where(is_first, ts[0], stretches.times[at]), jnp.where(is_first, job.y0, stretches.rows[at])
-    ends = jnp.stack([t, ts[1]])
-    own = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], (job.numbers, rows, stretches.is_sound, job.status))
-    numbers, first, may_run, status = own
-    outcome, log = steps_in_lanes(problem, numbers, first, ends, may_run, status, Block(), back.room, (), stretches.log)
-    n_steps, is_full = outcome.n_accepted[0], outcome.status[0] == Status.TOO_MANY_STEPS
-    is_sound = (outcome.status[0] == Status.SUCCEEDED) | (is_full & (n_steps > 0))
+
+    def made(log):
+        ends = jnp.stack([t, ts[1]])
+        own = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], (job.numbers, rows, stretches.is_sound, job.status))
+        numbers, first, may_run, status = own
+        outcome, log = steps_in_lanes(
+            problem, numbers, first, ends, may_run, status, Block(), log.times.shape[0], (), log
+        )
+        return (outcome.n_accepted[0], outcome.status[0], outcome.t_reached[0], outcome.y_reached[0]), log
+
+    if kept is None:
+        (n_steps, status, t_end, rows_end), log = made(stretches.log)
+    else:
+        succeeded = jnp.asarray(Status.SUCCEEDED, jnp.int64)
+        (n_steps, status, t_end, rows_end), log = jax.lax.cond(
+            is_first & kept.are_kept, lambda log: ((kept.n_steps, succeeded, t, rows), log), made, stretches.log
+        )
+    is_full = status == Status.TOO_MANY_STEPS
+    is_sound = (status == Status.SUCCEEDED) | (is_full & (n_steps > 0))
     notes = is_full & ~stretches.goes_back
     is_sound = is_sound & ~(notes & (at + 1 == N_STRETCHES))
     goes_back = is_sound & ~notes
@@ -338,8 +449,8 @@ def _with_stretch(problem: LaneProblem, job: Job, ts, back: "_StepsBack", stretc
         jnp.where(notes, at + 1, at - 1),
         stretches.goes_back | goes_back,
         is_sound,
-        stretches.times.at[coming].set(jnp.where(notes, outcome.t_reached[0], stretches.times[coming])),
-        stretches.rows.at[coming].set(jnp.where(notes, outcome.y_reached[0], stretches.rows[coming])),
+        stretches.times.at[coming].set(jnp.where(notes, t_end, stretches.times[coming])),
+        stretches.rows.at[coming].set(jnp.where(notes, rows_end, stretches.rows[coming])),
         log,
         sweep,
     )
@@ -359,7 +470,6 @@ class _StepsBack:
         self.corrects_by_numbers = self.correct is not None and correction_reads_parameters(plan.structure, plan.scalar)
         self.taken = samples_of(plan.structure, plan.scalar)
         self.contacts = contacts_of(plan.structure, plan.scalar)
-        self.room = ROOM if self.contacts is None else ROOM_WITH_CONTACT
         self.has_kinks = self.contacts is not None and bool(self.contacts.kinks)
         solver = method.solver
         self.interpolation = solver.interpolation_cls
@@ -381,14 +491,14 @@ class _StepsBack:
 
         def end(i):
             # Within the loop: ahead of it, XLA would copy the room for thousands of steps.
-            return log.times[0, i, -1], log.states[0, i, -1, 0]
+            return log.times[i, -1], log.states[i, -1, 0]
 
         def one_step_back(carry):
             i, sweep = carry
             is_first = i == 0
             t, y = end(jnp.maximum(i - 1, 0))
             t, y = jnp.where(is_first, t0, t), jnp.where(is_first, y0, y)
-            size, bend = log.trials[0, i, 0], log.trials[0, i, 1]
+            size, bend = log.trials[i, 0], log.trials[i, 1]
             return i - 1, self._step_back(t, y, *end(i), size, bend, sweep)
 
         def all_back():

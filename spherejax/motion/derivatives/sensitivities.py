@@ -13,13 +13,21 @@ import numpy as np
 from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float
 
+from spherejax.foundations.behind_tracers import is_linearized_in_program
 from spherejax.foundations.checks import is_concrete, is_tracing
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.types import Flag
 from spherejax.model.system import example_of
 from spherejax.motion.derivatives.known_jacobians import primal_alone, times_jacobians, with_derivatives
 from spherejax.motion.derivatives.linear_operation import LinearMap, linear_operation
-from spherejax.motion.derivatives.pullback import can_go_back, pulled_back, with_steps_back
+from spherejax.motion.derivatives.pullback import (
+    StepsKept,
+    can_go_back,
+    can_keep_steps,
+    pulled_back,
+    run_that_keeps_steps,
+    with_steps_back,
+)
 from spherejax.motion.derivatives.through_touches import any_jump, warn_of_rosenbrock
 from spherejax.motion.equations.contacts import kinks_of
 from spherejax.motion.equations.dynamics import state_rate
@@ -77,8 +85,11 @@ def integrate_with_sensitivities(
             warn_of_rosenbrock(abrupt, method.solver)
             along = _instantiated(moved.values, values)
             if _goes_back(plan) and not by_start:
-                outcome = run(*primals)
-                ys_dot, assembly = _along_one_direction(plan, others, primals, outcome)(along)
+                # In reverse mode the run is made once, and keeps its steps for the way back. Forward that would be a
+                # run with a sensitivity too much.
+                keeps = is_linearized_in_program(values, moved.values) and can_keep_steps(plan, method)
+                outcome, kept = keeping(*primals) if keeps else (run(*primals), None)
+                ys_dot, assembly = _along_one_direction(plan, others, primals, outcome, kept)(along)
             else:
                 outcome, jacobian = _run_and_jacobians(plan, others, by_start)(*primals)
                 if by_start:
@@ -101,7 +112,17 @@ def integrate_with_sensitivities(
         counts = jax.tree.map(_no_tangent, (outcome.status, outcome.stats))
         return outcome, Outcome(ys_dot, t_dot, y_dot, counts[0], counts[1], assembly)
 
+    @jax.custom_jvp
+    def keeping(inputs: RunInputs, arrays: Any) -> tuple[Outcome, StepsKept]:
+        return run_that_keeps_steps(plan, eqx.combine(arrays, others), inputs)
+
+    def keeping_jvp(primals, tangents):
+        outcome, outcome_dot = run_jvp(primals, tangents)
+        kept = StepsKept.of_nothing(plan)
+        return (outcome, kept), (outcome_dot, jax.tree.map(_zero_tangent, kept))
+
     run.defjvp(run_jvp, symbolic_zeros=True)
+    keeping.defjvp(keeping_jvp, symbolic_zeros=True)
     return run(inputs, jax.lax.stop_gradient(arrays))
 
 
@@ -148,14 +169,14 @@ def _run_and_jacobians(plan: Plan, others: Any, by_start: bool = False) -> Calla
 
 
 def _along_one_direction(
-    plan: Plan, others: Any, primals: tuple[RunInputs, Any], outcome: Outcome
+    plan: Plan, others: Any, primals: tuple[RunInputs, Any], outcome: Outcome, kept: StepsKept | None = None
 ) -> Callable[[Array], tuple[Any, Assembly]]:
     """The derivatives of samples and start along a tangent, whose transpose goes back along the run's steps."""
-    residuals, tree = jax.tree.flatten((primals, outcome.status == Status.SUCCEEDED))
+    residuals, tree = jax.tree.flatten((primals, outcome.status == Status.SUCCEEDED, kept))
     image: Any = jax.tree.structure((outcome.ys, outcome.assembly))
 
     def forward(leaves, x):
-        (inputs, arrays), _ = jax.tree.unflatten(tree, leaves)
+        (inputs, arrays), *_ = jax.tree.unflatten(tree, leaves)
         # Errors of sensitivities are judged in the units of the state: the tangent is as large as the numbers.
         size = jnp.max(jnp.abs(x[0] / plan.scales(inputs.values)))
         size = jnp.where(size > 0, size, 1.0)
@@ -163,10 +184,10 @@ def _along_one_direction(
         return jax.tree.leaves(jax.tree.map(lambda leaf: leaf[0] * size, (one.slopes, one.assembly_slopes)))
 
     def backward(leaves, y):
-        (inputs, arrays), has_succeeded = jax.tree.unflatten(tree, leaves)
+        (inputs, arrays), has_succeeded, kept = jax.tree.unflatten(tree, leaves)
         method = eqx.combine(arrays, others)
         back = method.with_solver(with_steps_back(method.solver))
-        gradient = pulled_back(plan, back, inputs, *jax.tree.unflatten(image, y))
+        gradient = pulled_back(plan, back, inputs, *jax.tree.unflatten(image, y), None, kept)
         gradient.warn()
         return [jnp.where(has_succeeded, gradient.slopes, jnp.nan)]
 
@@ -306,6 +327,11 @@ def _is_moved(tangent: Any) -> bool:
 def _instantiated(tangent: Any, value: Array) -> Array:
     """The tangent as an array."""
     return tangent if _is_moved(tangent) else jnp.zeros_like(value)
+
+
+def _zero_tangent(x: Array) -> Any:
+    """The tangent of an array that may be large: of numbers no constant of its size."""
+    return jnp.zeros_like(x) if _is_float(x) else _no_tangent(x)
 
 
 def _no_tangent(x: Array) -> Any:

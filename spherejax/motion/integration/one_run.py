@@ -363,8 +363,12 @@ def _with_slopes(plan: Plan, method: RunMethod, inputs: RunInputs, directions, b
 def _split(method: RunMethod, job: Job, made: LaneOutcome, assembly: Assembly) -> RunAndSlopes:
     """A run and its derivatives, from the rows of its lane."""
     slopes = jnp.moveaxis(made.ys[:, 1:], 1, 0)
-    made = made._replace(ys=made.ys[:, 0], y_reached=made.y_reached[0])
-    return RunAndSlopes(_outcome(method, job, made), slopes, assembly)
+    return RunAndSlopes(outcome_of_first_row(method, job, made), slopes, assembly)
+
+
+def outcome_of_first_row(method: RunMethod, job: Job, made: LaneOutcome) -> Outcome:
+    """The outcome of the state, from a lane with rows below it."""
+    return _outcome(method, job, made._replace(ys=made.ys[:, 0], y_reached=made.y_reached[0]))
 
 
 def _outcome(method: RunMethod, job: Job, made: LaneOutcome) -> Outcome:

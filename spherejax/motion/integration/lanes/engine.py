@@ -71,7 +71,8 @@ def steps_in_lanes(
             step come of what samples come of.
         capacity: rows of each run; of a run with more steps the rest is not written.
         shares: where inside each step the state is wanted, in (0, 1).
-        log: what the rows are written into, of `StepLog.of_nothing`; None for a new one.
+        log: what the rows are written into, of `StepLog.of_nothing`: the result has its shape then, in which the rows
+            of each run stand behind those of the one before. XLA copies what is reshaped between two loops.
     """
     outcome, log = _worked_off(problem, parameters, y0, ts, may_run, status, block, capacity, shares, log)
     assert log is not None
@@ -278,8 +279,7 @@ class Queue:
         if self.capacity:
             log = self.log
             if log is None:
-                log = StepLog.of_nothing(self.n_jobs, self.capacity, len(self.shares), self.y0.shape[1:])
-            log = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), log)
+                log = StepLog.of_nothing(self.n_jobs * self.capacity, len(self.shares), self.y0.shape[1:])
         last = self.nothing_last(lanes)
         rows = account.rows(self.n_jobs)
         carry = lanes, jnp.asarray(width), rows, ys, jnp.zeros((), jnp.int64), log, looks, last
@@ -302,7 +302,7 @@ class Queue:
 
             carry = self.run_loop(still_busy, (lanes, *rest, None, self.nothing_last(lanes)))
         log = carry[5]
-        if log is not None:
+        if log is not None and self.log is None:
             log = jax.tree.map(lambda x: x.reshape(self.n_jobs, self.capacity, *x.shape[1:]), log)
         ys = self._with_corrected_samples(carry[3]) if self.corrects_late else carry[3]
         return account.outcome(carry[2], ys, carry[4], self.ts, self.t_end), log
@@ -387,7 +387,7 @@ class Queue:
     def _n_stages(self, lanes: Lane) -> Any:
         """How many stages the coming step needs: Dopri8 has a fourteenth for what is inside a step alone."""
         steps: Any = self.steps
-        if steps.n_used == steps.n_stages or self.capacity:
+        if steps.n_used == steps.n_stages or self.shares:
             return steps.n_stages
         n = self.ts.shape[0]
         coming = jnp.maximum(lanes.n_samples, 1)

@@ -109,11 +109,11 @@ class StepLog(NamedTuple):
     trials: Float[Array, "n_jobs capacity 2"]
 
     @classmethod
-    def of_nothing(cls, n_jobs: int, capacity: int, n_shares: int, shape: tuple[int, ...]) -> "StepLog":
-        """Room for the steps of so many runs, of states of a shape."""
+    def of_nothing(cls, n_rows: int, n_shares: int, shape: tuple[int, ...]) -> "StepLog":
+        """Room for so many steps, of states of a shape; without the axis of runs."""
         # Not filled: most runs write few of these rows.
-        rows = n_jobs, capacity, n_shares + 1
-        return cls(*map(uninitialized, (rows, (*rows, *shape), (*rows[:2], 2))))
+        rows = n_rows, n_shares + 1
+        return cls(*map(uninitialized, (rows, (*rows, *shape), (n_rows, 2))))
 
 
 class Lane(NamedTuple):
