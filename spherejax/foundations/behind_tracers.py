@@ -1,4 +1,4 @@
-"""What stands behind JAX's tracers: outside `jax.jit` numbers of `jax.jvp`, `jax.grad` and `jax.vmap` can be seen."""
+"""Numbers behind JAX's tracers: outside `jax.jit` those of `jax.jvp`, `jax.grad` and `jax.vmap` can be looked at."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -49,16 +49,6 @@ def shared_behind(leaf: Any) -> np.ndarray | None:
             inner = rows[0] if len(rows) and np.array_equal(rows, np.broadcast_to(rows[:1], rows.shape)) else None
         leaf = inner
     return None if leaf is None else np.asarray(leaf)
-
-
-def is_linearized_in_program(value: Any, tangent: Any) -> bool:
-    """Whether a derivative rule is asked for a function that is linear in a tangent which is not known yet, as reverse
-    mode asks for it, by a value that `jax.jit` hides and no other transformation changes.
-
-    It is a hint alone. Nothing but time may depend on it: `jax.linearize` asks the same, and reverse mode does not ask
-    where the function that it differentiates is a program of its own (`jax.grad` of `jax.jit`).
-    """
-    return type(tangent).__name__ == "JaxprTracer" and type(value).__name__ == "DynamicJaxprTracer"
 
 
 # The names of these attributes are JAX's own and undocumented. Should a release drop them, numbers are hidden as under

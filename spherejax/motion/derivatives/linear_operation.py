@@ -65,6 +65,17 @@ class LinearMap:
         return back(list(x))
 
 
+def is_linearized_in_program(value: Any, tangent: Any) -> bool:
+    """Whether a derivative rule is asked for a function that is linear in a tangent which is not known yet, as reverse
+    mode asks for it, by a value that `jax.jit` hides and no other transformation changes.
+
+    It is a hint alone. Nothing but time may depend on it: `jax.linearize` asks the same, and reverse mode does not ask
+    where the function that it differentiates is a program of its own (`jax.grad` of `jax.jit`).
+    """
+    # By names: JAX has no public ones for these classes. Should they change, a run is made twice.
+    return type(tangent).__name__ == "JaxprTracer" and type(value).__name__ == "DynamicJaxprTracer"
+
+
 def linear_operation(linear: LinearMap, residuals: Arrays, x: Arrays) -> list:
     """M(residuals) x as one operation, linear in x."""
     return _linear_operation.bind(*residuals, *x, linear=linear, n_residuals=len(residuals))

@@ -13,13 +13,12 @@ import numpy as np
 from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float
 
-from spherejax.foundations.behind_tracers import is_linearized_in_program
 from spherejax.foundations.checks import is_concrete, is_tracing
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.types import Flag
 from spherejax.model.system import example_of
 from spherejax.motion.derivatives.known_jacobians import primal_alone, times_jacobians, with_derivatives
-from spherejax.motion.derivatives.linear_operation import LinearMap, linear_operation
+from spherejax.motion.derivatives.linear_operation import LinearMap, is_linearized_in_program, linear_operation
 from spherejax.motion.derivatives.pullback import (
     StepsKept,
     can_go_back,
