@@ -1,6 +1,6 @@
 """The functions of `spherejax.compiler.emit.llvm_functions`: their coefficients, their errors and their times.
 
-    python benchmarks/fitted_functions.py                  # errors and times, 2 minutes
+    python benchmarks/fitted_functions.py                  # errors and times, 3 minutes
     python benchmarks/fitted_functions.py --coefficients   # prints the coefficients, half a minute
 
 A polynomial, or a quotient of two, is fitted so that its largest error is the smallest there is (E. Remez 1934: the
@@ -13,16 +13,19 @@ import argparse
 import ctypes
 import decimal
 import math
+import sys
 import time
 from collections.abc import Callable, Sequence
 from decimal import Decimal
-from functools import cache
+from pathlib import Path
 
 from machine import use_one_core, write
 
 use_one_core()
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
 
 import numpy as np  # noqa: E402
+from exact_functions import BEGINS, EXACT, tanh, two_pi  # noqa: E402
 
 from spherejax.compiler.emit.llvm import Numbers  # noqa: E402
 from spherejax.compiler.emit.llvm_functions import FUNCTIONS  # noqa: E402
@@ -41,42 +44,9 @@ def series(x: Decimal, first: int) -> Decimal:
     return total
 
 
-def expm1(x: Decimal) -> Decimal:
-    return x.exp() - 1 if abs(x) > 1 else x * series(x, 1)
-
-
-def tanh(x: Decimal) -> Decimal:
-    return expm1(2 * x) / (expm1(2 * x) + 2)
-
-
 def artanh(x: Decimal, first: int = 0) -> Decimal:
     """Its terms from x^(2 first + 1) on, over this power; for |x| below 0.2."""
     return sum((x ** (2 * k) / (2 * (first + k) + 1) for k in range(50)), Decimal(0))
-
-
-def log1p(x: Decimal) -> Decimal:
-    if abs(x) > Decimal("1e-10"):
-        return (1 + x).ln()
-    return x - x * x / 2 + x**3 / 3  # 1 + x would lose digits of x; the next term is 1e-30 of this
-
-
-def sinh(x: Decimal) -> Decimal:
-    return (expm1(x) - expm1(-x)) / 2
-
-
-@cache
-def two_pi() -> Decimal:
-    """By J. Machin: pi = 16 arctan(1/5) - 4 arctan(1/239)."""
-    with decimal.localcontext(prec=100):
-        parts = [(Decimal((-1) ** k) / (2 * k + 1), 2 * k + 1) for k in range(80)]
-        return 2 * sum((a * (16 * Decimal("0.2") ** n - 4 / Decimal(239) ** n) for a, n in parts), Decimal(0))
-
-
-def sin(x: Decimal, quarters: int = 0) -> Decimal:
-    with decimal.localcontext(prec=100):
-        x = x + quarters * two_pi() / 4
-        x = x - (x / two_pi()).to_integral_value() * two_pi()
-    return alternating(x * x, 1) * x
 
 
 def alternating(square: Decimal, first: int) -> Decimal:
@@ -90,20 +60,6 @@ def alternating(square: Decimal, first: int) -> Decimal:
 def hyperbolic(square: Decimal, first: int) -> Decimal:
     """The same of a hyperbolic function."""
     return alternating(-square, first)
-
-
-EXACT: dict[str, Function] = {
-    "cos": lambda x: sin(x, 1),
-    "cosh": lambda x: (x.exp() + (-x).exp()) / 2,
-    "exp": Decimal.exp,
-    "expm1": expm1,
-    "log": Decimal.ln,
-    "log1p": log1p,
-    "sin": sin,
-    "sinh": sinh,
-    "tanh": tanh,
-}
-BEGINS = {"log": 0.0, "log1p": -1.0}
 
 
 def solved(rows: list[list[Decimal]]) -> list[Decimal]:

@@ -193,7 +193,7 @@ def test_a_run_that_keeps_no_steps_has_the_same_value_and_gradient(way, monkeypa
 @pytest.mark.slow
 @pytest.mark.parametrize("stiffness", [1e4, 1e9])
 def test_a_method_that_is_chosen_when_the_run_starts(stiffness):
-    """Where it is the stiff one, a run keeps no steps."""
+    """With 1e4 N/m it is the explicit one, whose run keeps its steps; with 1e9 the stiff one, whose run keeps none."""
     scene = sj.gallery.four_bar(sj.Bushing(stiffness, 1e-3))
     numbers, rest = eqx.partition(scene, lambda leaf: isinstance(leaf, float) or eqx.is_inexact_array(leaf))
     flat, unflatten = jax.flatten_util.ravel_pytree(jax.tree.map(jnp.asarray, numbers))

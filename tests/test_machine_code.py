@@ -708,14 +708,14 @@ def test_a_loop_around_a_loop_that_is_machine_code_already(small_ones_too):
         text = str(jax.make_jaxpr(whole)())
         assert "loop_in_machine_code" in text
         assert "while" not in text
-        found = jax.jit(whole)()
+        results = jax.jit(whole)()
         again = jax.jit(lambda: jax.lax.map(lambda _: whole(), jnp.zeros(3)))()
-    for one, other, third in zip(found, expected, again, strict=True):
+    for one, other, third in zip(results, expected, again, strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-13, atol=1e-15)
         np.testing.assert_array_equal(third[2], one)
 
 
-def test_loops_around_two_loops_are_left_to_xla(small_ones_too):
+def test_a_loop_around_a_loop_around_a_loop_is_left_to_xla(small_ones_too):
     def twice(rate, of_inner):
         def turn(state):
             i, y = state
@@ -727,8 +727,8 @@ def test_loops_around_two_loops_are_left_to_xla(small_ones_too):
     with machine_code.native_code():
         whole = whole_loops(lambda: twice(FIELD, whole_loops))
         assert "while" in str(jax.make_jaxpr(whole)())
-        found = jax.jit(whole)()
-    for one, other in zip(found, expected, strict=True):
+        results = jax.jit(whole)()
+    for one, other in zip(results, expected, strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-13, atol=1e-15)
 
 

@@ -8,8 +8,9 @@ import pytest
 from sweeping import pendulum
 
 import spherejax as sj
+from spherejax.compiler.emit.llvm import LANES_AT_A_TIME
 from spherejax.motion.integration import widths
-from spherejax.motion.integration.lanes import Block
+from spherejax.motion.integration.lanes import Block, lane
 from spherejax.motion.integration.status import Status
 from spherejax.motion.runs.many import batch_settings, many, simulate_many
 from spherejax.motion.settings import RunSettings
@@ -26,20 +27,11 @@ def test_the_block_is_as_wide_as_the_platform_asks_for():
         assert widths.platform_of_runs() == "cpu"
 
 
-def test_lanes_are_as_many_as_the_runs_fill_as_often():
+def test_a_block_has_no_lanes_that_idle_from_the_start():
     block = Block()
-    assert [block.width_for(n) for n in (1, 8, 23, 24, 25, 32, 33, 48, 49, 250)] == [
-        1,
-        8,
-        23,
-        24,
-        16,
-        16,
-        24,
-        24,
-        24,
-        24,
-    ]
+    widths_of = {1: 1, 8: 8, 23: 23, 24: 24, 25: 16, 32: 16, 33: 24, 48: 24, 49: 24, 250: 24}
+    assert {n: block.width_for(n) for n in widths_of} == widths_of
+    assert lane.IN_A_GROUP == LANES_AT_A_TIME
     assert Block(2, 1).width_for(5) == 2
     for n_runs in range(1, 200):
         width = block.width_for(n_runs)

@@ -94,6 +94,7 @@ class _Formulas:
 
     def __init__(self, text: LlvmWriter):
         self._text, self.double, self._whole = text, text.type(DOUBLE), text.type(WHOLE)
+        self.add, self.sub, self.mul, self.div = map(self._operation, ("fadd", "fsub", "fmul", "fdiv"))
 
     def _number(self, a: str | float) -> str:
         return a if isinstance(a, str) else self._text.number(a, DOUBLE)
@@ -103,22 +104,6 @@ class _Formulas:
 
     def _operation(self, word: str) -> Callable[[Any, Any], str]:
         return lambda a, b: self._text.made(f"{word} {self.double} {self._number(a)}, {self._number(b)}")
-
-    @property
-    def add(self) -> Callable[[Any, Any], str]:
-        return self._operation("fadd")
-
-    @property
-    def sub(self) -> Callable[[Any, Any], str]:
-        return self._operation("fsub")
-
-    @property
-    def mul(self) -> Callable[[Any, Any], str]:
-        return self._operation("fmul")
-
-    @property
-    def div(self) -> Callable[[Any, Any], str]:
-        return self._operation("fdiv")
 
     def fma(self, a: str | float, b: str | float, c: str | float) -> str:
         """a b + c."""

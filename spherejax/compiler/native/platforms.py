@@ -74,7 +74,7 @@ def check(llvm: Any) -> str:
     """Compile and run a small program: why native code cannot be used here, in words; empty where it can.
 
     It calls each function of the mathematical library once, or ours in its place, rounds a vector of numbers, and uses
-    the stack. A missing symbol must be found before that: LLVM ends the process over it.
+    the stack. Missing symbols are looked for before that: LLVM ends the process over one.
 
     Args:
         llvm: `llvmlite.binding`, with its native target initialized.

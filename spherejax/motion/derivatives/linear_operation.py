@@ -66,13 +66,12 @@ class LinearMap:
 
 
 def is_linearized_in_program(value: Any, tangent: Any) -> bool:
-    """Whether a derivative rule is asked for a function that is linear in a tangent which is not known yet, as reverse
-    mode asks for it, by a value that `jax.jit` hides and no other transformation changes.
+    """Whether JAX linearizes a function, as reverse mode does, within `jax.jit` and no other transformation.
 
-    It is a hint alone. Nothing but time may depend on it: `jax.linearize` asks the same, and reverse mode does not ask
-    where the function that it differentiates is a program of its own (`jax.grad` of `jax.jit`).
+    Then the tangent is not known yet, and the value is a number of the program. This is a hint, on which nothing but
+    time may depend: `jax.linearize` looks the same, and reverse mode through an inner `jax.jit` does not.
     """
-    # By names: JAX has no public ones for these classes. Should they change, a run is made twice.
+    # By names: these classes of JAX have no public ones. Should the names change, two runs are made in place of one.
     return type(tangent).__name__ == "JaxprTracer" and type(value).__name__ == "DynamicJaxprTracer"
 
 

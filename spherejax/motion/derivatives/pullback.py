@@ -12,8 +12,8 @@ between its stages, as in the run itself, so each step is evaluated once, with a
 The run that keeps them carries one sensitivity along, by a mixture of all numbers, whose error is controlled with the
 state's: its steps are then short enough for derivatives, behind contact onsets as well (`sensitivity_rows`). Where JAX
 asks for a value and its gradient in one program, that run gives the value as well (`run_that_keeps_steps`), within the
-same tolerances. Elsewhere (outside of `jax.jit`, and where `jax.jit` or `jax.vmap` stands between) the way back makes
-it once more.
+same tolerances. Elsewhere (outside of `jax.jit`, and where `jax.jit` or `jax.vmap` stands between) it is a second run,
+made for the way back.
 
 A compiled program has room for a fixed number of steps. A longer run is cut into stretches: the run goes to its end and
 notes the state at which each stretch begins; then each stretch, from the last to the first, is made once more and gone
@@ -277,6 +277,7 @@ def run_that_keeps_steps(plan: Plan, method: RunMethod, inputs: RunInputs) -> tu
 
 
 def _with_steps(plan: Plan, method: RunMethod, inputs: RunInputs) -> tuple[Outcome, StepsKept]:
+    """As `run_that_keeps_steps`, for one run."""
     usual = method.decided
     with program_for(state_rate, plan.structure, plan.scalar).native_code(in_machine_code(plan)):
         job, problem = _as_mixture(plan, usual, inputs, None)
@@ -290,7 +291,7 @@ def _with_steps(plan: Plan, method: RunMethod, inputs: RunInputs) -> tuple[Outco
         log = StepLog.of_nothing(room, 0, job.y0.shape)
         made, log = steps_in_lanes(problem, numbers, rows, inputs.ts, may_run, status, Block(), room, (), log)
     made = jax.tree.map(lambda leaf: leaf[0], made._replace(n_lane_steps=made.n_lane_steps[None]))
-    # What went wrong, with how many steps, is what the run says that keeps none.
+    # A run that failed, or had too many steps, is made once more without the sensitivity: what is reported is its own.
     n_steps = made.n_accepted + made.n_rejected
     are_kept = job.may_run & (made.status == Status.SUCCEEDED) & (n_steps <= method.max_steps)
     outcome = jax.lax.cond(

@@ -84,8 +84,8 @@ def integrate_with_sensitivities(
             warn_of_rosenbrock(abrupt, method.solver)
             along = _instantiated(moved.values, values)
             if _goes_back(plan) and not by_start:
-                # In reverse mode the run is made once, and keeps its steps for the way back. Forward that would be a
-                # run with a sensitivity too much.
+                # In reverse mode the run keeps its steps for the way back. In forward mode it would carry a sensitivity
+                # that nobody reads.
                 keeps = is_linearized_in_program(values, moved.values) and can_keep_steps(plan, method)
                 outcome, kept = keeping(*primals) if keeps else (run(*primals), None)
                 ys_dot, assembly = _along_one_direction(plan, others, primals, outcome, kept)(along)

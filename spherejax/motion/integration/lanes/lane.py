@@ -31,9 +31,10 @@ class Block(NamedTuple):
     narrow: int | None = None
 
     def width_for(self, n_runs: int) -> int:
-        """How many lanes so many runs get: as many as they fill as often.
+        """Lanes for so many runs: not more than are needed to fill them as few times as `width` lanes would be filled.
 
-        In 24 lanes 32 runs take as long as 48 would, for the last eight are made beside sixteen that idle.
+        In 24 lanes 32 runs take as long as 48 would, for the last eight are made beside sixteen idle lanes; in 16 lanes
+        they fill all of them twice.
         """
         n_rounds = -(-n_runs // self.width)
         if n_rounds <= 1:
