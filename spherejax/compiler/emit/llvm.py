@@ -12,7 +12,17 @@ import numpy as np
 
 from spherejax.compiler.emit.llvm_functions import FUNCTIONS, OF_VECTORS_ALONE, WITHIN
 from spherejax.compiler.emit.llvm_rows import rows_of
-from spherejax.compiler.emit.llvm_sums import COLUMNS, DOT, ROW, Columns, MultipleRow, WeightedSum, beside, loops_of
+from spherejax.compiler.emit.llvm_sums import (
+    ADDED_ROW,
+    COLUMNS,
+    DOT,
+    ROW,
+    Columns,
+    MultipleRow,
+    WeightedSum,
+    beside,
+    loops_of,
+)
 from spherejax.compiler.native import ffi_abi
 from spherejax.compiler.operations import BOOL, DOUBLE, FLOAT, KINDS, OPERATIONS, TRUTH, WHOLE, Call
 
@@ -198,10 +208,18 @@ class FunctionText:
         lanes, axes: as of the operation `straight_line`.
         n_runs: of a function for several runs at once every value is a vector, of one number for each, and so is each
             entry of its arguments and results; the loop goes over lanes one by one then.
+        added: results that are added to what stands in their places, without lanes.
     """
 
-    def __init__(self, line: Any, lanes: tuple[int, ...], axes: tuple[int, ...], n_runs: int = 1):
-        self.line, self.graph = line, line.graph
+    def __init__(
+        self,
+        line: Any,
+        lanes: tuple[int, ...],
+        axes: tuple[int, ...],
+        n_runs: int = 1,
+        added: tuple[int, ...] = (),
+    ):
+        self.line, self.graph, self.added = line, line.graph, added
         self.spread, self.outputs_spread = line.spread(axes)
         self.axes = axes
         self.n_lanes = lanes[0] if lanes else 1
@@ -284,11 +302,15 @@ class FunctionText:
         return self._made(f"trunc {kind} {value} to {self._type(dtype, is_wide)}") if dtype == BOOL else value
 
     def _write(self, node: int, result: int, entry: int, is_wide: bool) -> None:
-        dtype = self.graph.dtypes[node]
+        dtype, adds = self.graph.dtypes[node], result in self.added
+        if adds and self.graph.is_value(node, 0):
+            return
         value, kind = self._value(node, is_wide), self._type(dtype, is_wide, True)
         if dtype == BOOL:
             value = self._made(f"zext {self._type(dtype, is_wide)} {value} to {kind}")
         pointer = self._pointer(f"%r{result}", entry, dtype, is_wide)
+        if adds:
+            value = self._made(f"fadd contract {kind} {self._made(f'load {kind}, ptr {pointer}, align 8')}, {value}")
         self.lines.append(f"  store {kind} {value}, ptr {pointer}, align {1 if dtype == BOOL else 8}")
 
     # Operations -------------------------------------------------------------------------------------------------------
@@ -351,11 +373,12 @@ class FunctionText:
         return self._arrays[columns]
 
     def _write_row(self, row: MultipleRow, result: int, entry: int) -> None:
-        self.declared[ROW] = None
+        name, text = ("row.added", ADDED_ROW) if result in self.added else ("row", ROW)
+        self.declared[text] = None
         pointer = self._pointer(f"%r{result}", entry, FLOAT, False)
         factor, others = self._value(row.factor, False), self._array(row.others)
         self.lines.append(
-            f"  call void @spherejax.row(double {factor}, ptr {others}, ptr {pointer}, i64 {len(row.others)})"
+            f"  call void @spherejax.{name}(double {factor}, ptr {others}, ptr {pointer}, i64 {len(row.others)})"
         )
 
     def _array(self, nodes: tuple[int, ...]) -> str:

@@ -13,6 +13,7 @@ A dot is summed in sixteen parts, so that it differs by rounding from a sum from
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -459,21 +460,31 @@ COLUMNS = (
 """From (W, its stride, b, n, y, m) to y_j = sum_k W_kj b_k, for m of them."""
 
 
-def _row_block(width: int, p: str) -> tuple[list[str], str]:
-    kind = _vector(width)
+def _row_block(adds: bool, width: int, p: str) -> tuple[list[str], str]:
+    kind, factor = _vector(width), "%a.v" if width > 1 else "%a.one"
     lines = [
         f"  %p.b.{p} = getelementptr inbounds double, ptr %b, i64 %j.{p}",
         f"  %p.y.{p} = getelementptr inbounds double, ptr %y, i64 %j.{p}",
         f"  %b.{p} = load {kind}, ptr %p.b.{p}, align 8",
-        f"  %m.{p} = fmul contract {kind} %b.{p}, %a.{'v' if width > 1 else 'one'}",
-        f"  store {kind} %m.{p}, ptr %p.y.{p}, align 8",
+        f"  %m.{p} = fmul contract {kind} %b.{p}, {factor}",
     ]
-    return lines, f"turn.{p}"
+    if adds:
+        lines += [
+            f"  %y.{p} = load {kind}, ptr %p.y.{p}, align 8",
+            f"  %s.{p} = fadd contract {kind} %y.{p}, %m.{p}",
+        ]
+    return [*lines, f"  store {kind} %{'s' if adds else 'm'}.{p}, ptr %p.y.{p}, align 8"], f"turn.{p}"
 
 
-ROW = (
-    "define internal void @spherejax.row(double %a.one, ptr %b, ptr noalias %y, i64 %m) noinline nounwind {\nwork:\n"
-    "  %a.i = insertelement <8 x double> poison, double %a.one, i64 0\n"
-    "  %a.v = shufflevector <8 x double> %a.i, <8 x double> poison, <8 x i32> zeroinitializer\n"
-) + _in_blocks((8, 1), _row_block)
-"""From (a, b, y, m) to y_j = a b_j, for m of them."""
+def _row_text(name: str, adds: bool) -> str:
+    begin = (
+        f"define internal void @spherejax.{name}(double %a.one, ptr %b, ptr noalias %y, i64 %m) noinline nounwind {{\n"
+        "work:\n"
+        "  %a.i = insertelement <8 x double> poison, double %a.one, i64 0\n"
+        "  %a.v = shufflevector <8 x double> %a.i, <8 x double> poison, <8 x i32> zeroinitializer\n"
+    )
+    return begin + _in_blocks((8, 1), partial(_row_block, adds))
+
+
+ROW, ADDED_ROW = _row_text("row", False), _row_text("row.added", True)
+"""From (a, b, y, m) to y_j = a b_j, and y_j + a b_j in its place, for m of them."""

@@ -253,9 +253,9 @@ class ProgramText(LoopText):
         """A constant."""
         return Known(value)
 
-    def program(self, closed: Any, values: Sequence[Any], sums: Any = None) -> list[Any]:
-        """The results of a program of a loop or a branch, in memory; `sums` are made as all else."""
-        del sums  # added in place they would have to be written at once, and here a value waits for its reader
+    def program(self, closed: Any, values: Sequence[Any], accumulators: Any = ()) -> list[Any]:
+        """The results of a program of a loop or a branch, in memory; accumulators are arrays as all others."""
+        del accumulators  # added in place they would have to be written at once, and here a value waits for its reader
         return [self.forced(value) for value in super().program(closed, values)]
 
     def equation(self, equation: Any, values: list[Any]) -> list[Any]:

@@ -8,9 +8,9 @@ machine code (stages of a step, and loops that have become machine code before) 
 What has no rule is left to XLA, as a whole loop (`loop_fusion`).
 """
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from functools import partial
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import jax
@@ -39,6 +39,8 @@ from spherejax.compiler.emit.llvm_arrays import (
 from spherejax.compiler.lanes import by_a_loop
 from spherejax.compiler.native import compile as machine_code
 from spherejax.compiler.native import ffi_abi
+from spherejax.compiler.native.sums_in_place import NOTHING as NO_SUMS
+from spherejax.compiler.native.sums_in_place import SumsInPlace, accumulators_of, sums_in_place
 from spherejax.compiler.operations import INNER_PROGRAM, OF_PRIMITIVE, OPERATIONS, Call
 from spherejax.compiler.primitive import is_called
 
@@ -220,17 +222,29 @@ class LoopText:
         """What stands for a constant."""
         return self.text.known(value)
 
-    def program(self, closed: Any, values: Sequence[Value], sums: Mapping[Any, Value] | None = None) -> list[Value]:
+    def program(
+        self, closed: Any, values: Sequence[Value], accumulators: Sequence[tuple[int, int]] = ()
+    ) -> list[Value]:
         """The results of a program.
 
         Args:
             closed: the program.
             values: of its arguments.
-            sums: slots of a loop to which results are added, as `_accumulated` finds them.
+            accumulators: arguments that are changed in place, each with the result that it becomes.
         """
         jaxpr, constants = getattr(closed, "jaxpr", closed), getattr(closed, "consts", ())
         environment: dict[Any, Value] = dict(zip(jaxpr.constvars, map(self.constant, constants), strict=True))
         environment.update(zip(jaxpr.invars, values, strict=True))
+        return self.evaluated(jaxpr.eqns, jaxpr.outvars, environment, sums_in_place(jaxpr, accumulators))
+
+    def evaluated(
+        self,
+        equations: Sequence[Any],
+        outvars: Sequence[Any],
+        environment: dict[Any, Value],
+        in_place: SumsInPlace = NO_SUMS,
+    ) -> list[Value]:
+        """The results of operations, from values by their names."""
 
         def read(atom: Any) -> Value:
             if not isinstance(atom, jex.Literal):
@@ -238,12 +252,38 @@ class LoopText:
             aval: Any = atom.aval
             return self.constant(np.asarray(atom.val, aval.dtype))
 
-        for equation in jaxpr.eqns:
-            slot = sums.get(equation.outvars[0]) if sums and equation.outvars else None
-            operands = [read(atom) for atom in equation.invars]
-            outputs = self.equation(equation, operands) if slot is None else [self._added_to(slot, operands)]
+        for i, equation in enumerate(equations):
+            if i in in_place.unread:
+                continue
+            terms = in_place.terms.get(i, ())
+            begins = {term.begin: before for term, before, _ in terms}
+            operands = [read(begins.get(k, atom)) for k, atom in enumerate(equation.invars)]
+            pairs = [*in_place.passages.get(i, ()), *((term.begin, term.result) for term, *_ in terms)]
+            if i in in_place.sums:
+                outputs = [self._added(operands, in_place.sums[i])]
+            elif equation.primitive.name == "straight_line" and terms:
+                outputs = self.adding_line(equation, operands, {term.result: environment[at] for term, at, _ in terms})
+            elif pairs:
+                outputs = self.changing(equation, operands, pairs)
+            else:
+                outputs = self.equation(equation, operands)
             environment.update(zip(equation.outvars, outputs, strict=True))
-        return [read(atom) for atom in jaxpr.outvars]
+            environment.update((behind, outputs[term.result]) for term, _, behind in terms)
+        return [read(atom) for atom in outvars]
+
+    def changing(self, equation: Any, values: list[Value], accumulators: Sequence[tuple[int, int]]) -> list[Value]:
+        """The results of an operation with programs inside, of which some change accumulators, as of `program`."""
+        name, parameters = equation.primitive.name, equation.params
+        if name == "cond":
+            return self.branch(
+                parameters["branches"], values, [(operand - 1, result) for operand, result in accumulators]
+            )
+        kept = {result: values[operand] for operand, result in accumulators}
+        if name == "scan":
+            return self.scan(parameters, values, [out.aval for out in equation.outvars], kept)
+        if name == "while":
+            return self.loop(parameters, values, [kept.get(k) for k in range(len(equation.outvars))])
+        return self.program(parameters[INNER_PROGRAM[name]], values, accumulators)
 
     def equation(self, equation: Any, values: list[Value]) -> list[Value]:
         """The results of an operation."""
@@ -300,41 +340,31 @@ class LoopText:
         text.say(f"br i1 {text.read(goes_on)}, label %{turn}, label %{end}")
         text.lines.append(f"{turn}:")
         body = parameters["body_jaxpr"]
-        following = self.program(body, [*fixed, *map(self._held, carried)], self._accumulated(body, n_fixed, carried))
+        accumulators = self._accumulators(body, n_fixed, carried)
+        following = self.program(body, [*fixed, *map(self._held, carried)], accumulators)
         self._carry(following, carried)
         text.say(f"br label %{look}")
         text.lines.append(f"{end}:")
         return [self._held(slot) for slot in carried]
 
-    def _accumulated(self, body: Any, n_fixed: int, carried: Sequence[Value]) -> dict[Any, Value]:
-        """Of a loop that adds to arrays that it carries, and reads them for nothing else: the sums, and their slots.
+    def _accumulators(self, body: Any, n_fixed: int, carried: Sequence[Value]) -> list[tuple[int, int]]:
+        """Arrays that a loop carries and only adds to, as of `program`.
 
         They are added in place: written elsewhere, they would have to be copied to their slots in each turn.
         """
-        jaxpr = body.jaxpr
-        atoms = [atom for equation in jaxpr.eqns for atom in equation.invars] + jaxpr.outvars
-        n_uses = Counter(atom for atom in atoms if isinstance(atom, jex.Var))
-        made_by = {out: equation for equation in jaxpr.eqns for out in equation.outvars}
-        sums = {}
-        for slot, begin, end in zip(carried, jaxpr.invars[n_fixed:], jaxpr.outvars, strict=False):
-            made = made_by.get(end) if isinstance(end, jex.Var) else None
-            if made is None or made.primitive.name not in ("add", "add_any") or n_uses[begin] != 1:
-                continue
-            has_one_shape = all(atom.aval.shape == begin.aval.shape for atom in made.invars)
-            if begin in made.invars and has_one_shape and 1 < slot.size < self.text.large:
-                sums[end] = slot
-        return sums
+        pairs = [(n_fixed + k, k) for k, slot in enumerate(carried) if 1 < slot.size < self.text.large]
+        return accumulators_of(body.jaxpr, pairs)
 
-    def _added_to(self, slot: Value, operands: Sequence[Value]) -> Value:
-        """A sum of two arrays, one of which is in the slot, put there."""
-        held = self._held(slot)
-        call = Call((slot.kind, slot.kind), slot.kind, {})
+    def _added(self, operands: Sequence[Value], accumulator: int) -> Value:
+        """A sum of two arrays, in the place of one of them."""
+        into = operands[accumulator]
+        call = Call((into.kind, into.kind), into.kind, {})
 
         def write(width: int, *names: str) -> str:
             return OPERATIONS["add"].in_llvm(self.text.at(width), call, *names)
 
-        self.text.entrywise(slot.shape, slot.kind, operands, write, into=held)
-        return held
+        self.text.entrywise(into.shape, into.kind, operands, write, into=into)
+        return self.text.changed(into)
 
     def _slot(self, value: Value) -> Value:
         """Where a loop carries a value: a large array stays where it is."""
@@ -382,12 +412,18 @@ class LoopText:
                 self.text.checked(value)
                 self.text.copy(value, slot)
 
-    def scan(self, parameters: Any, values: Sequence[Value], avals: Sequence[Any]) -> list[Value]:
-        """`jax.lax.scan`, as a loop that counts."""
+    def scan(
+        self,
+        parameters: Any,
+        values: Sequence[Value],
+        avals: Sequence[Any],
+        kept: Mapping[int, Value] = MappingProxyType({}),
+    ) -> list[Value]:
+        """`jax.lax.scan`, as a loop that counts; of what it carries, accumulators that are kept where they are."""
         text, n = self.text, parameters["length"]
         n_fixed, n_carried = private.counts_of_scan(parameters)
         fixed, begin, columns = values[:n_fixed], values[n_fixed : n_fixed + n_carried], values[n_fixed + n_carried :]
-        carried = [self._slot(value) for value in begin]
+        carried = [kept[k] if k in kept else self._slot(value) for k, value in enumerate(begin)]
         rows = [self._room(aval) for aval in avals[n_carried:]]
         # In memory, as all that is carried; see `loop`.
         counter = text.array((), "i64")
@@ -401,8 +437,8 @@ class LoopText:
         at = text.made(f"sub i64 {n - 1}, {i}") if parameters["reverse"] else i
         slices = [self._row(column, at) for column in columns]
         body = parameters["jaxpr"]
-        sums = self._accumulated(body, n_fixed, carried)
-        outputs = self.program(body, [*fixed, *map(self._held, carried), *slices], sums)
+        accumulators = self._accumulators(body, n_fixed, carried)
+        outputs = self.program(body, [*fixed, *map(self._held, carried), *slices], accumulators)
         for row, value in zip(rows, outputs[n_carried:], strict=True):
             if value.size:
                 # At the index of the slices, of which the last one is the first turn where a scan is reversed.
@@ -426,19 +462,23 @@ class LoopText:
             return Value(shape, column.kind, "")
         return self.text.picked(column, self.text.made(f"mul nsw i64 {at}, {size}"), np.arange(size).reshape(shape))
 
-    def branch(self, branches: Sequence[Any], values: Sequence[Value]) -> list[Value]:
-        """`jax.lax.switch`."""
+    def branch(
+        self, branches: Sequence[Any], values: Sequence[Value], accumulators: Sequence[tuple[int, int]] = ()
+    ) -> list[Value]:
+        """`jax.lax.switch`; accumulators as of `program`."""
         text, (which, *operands) = self.text, values
         # A constant is written as its digits: no other branch is written then.
         if which.name.lstrip("-").isdigit():
             at = int(which.name)
-            return self.program(branches[at if 0 <= at < len(branches) else -1], operands)
+            return self.program(branches[at if 0 <= at < len(branches) else -1], operands, accumulators)
         index = text.read(which)
         labels, end = [text.new("branch") for _ in branches], text.new("end")
         # The last branch is the default: an index outside takes it, as in StableHLO.
         cases = " ".join(f"i64 {i}, label %{label}" for i, label in enumerate(labels[:-1]))
         text.say(f"switch i64 {index}, label %{labels[-1]} [{cases}]")
-        memories = {id(v.memory): v.memory for v in operands if v.memory is not None and v.size >= self.text.large}
+        in_place = {argument for argument, _ in accumulators}
+        changeable = [v for k, v in enumerate(operands) if v.size >= self.text.large or k in in_place]
+        memories = {id(v.memory): v.memory for v in changeable if v.memory is not None}
         before = {key: memory.version for key, memory in memories.items()}
         latest = dict(before)
         outs: list[list[Value]] = []
@@ -449,9 +489,13 @@ class LoopText:
             # changed in any.
             for key, memory in memories.items():
                 memory.version = before[key]
-            outputs = self.program(closed, operands)
+            outputs = self.program(closed, operands, accumulators)
             if not targets:
-                targets = [text.array(v.shape, v.kind) if 0 < v.size < text.large else None for v in outputs]
+                stays = {result for _, result in accumulators}
+                targets = [
+                    text.array(v.shape, v.kind) if 0 < v.size < text.large and k not in stays else None
+                    for k, v in enumerate(outputs)
+                ]
             for value, target in zip(outputs, targets, strict=True):
                 if target is not None:
                     text.copy(text.checked(value), target)
@@ -493,6 +537,14 @@ class LoopText:
         pointers = [self._address(value) for value in values] + [result.name or "null" for result in results]
         self.text.say(f"call void @{name}({', '.join(f'ptr {pointer}' for pointer in pointers)})")
         return [self._held(result) for result in results]
+
+    def adding_line(self, equation: Any, values: Sequence[Value], into: Mapping[int, Value]) -> list[Value]:
+        """A scalar program that is called, and adds some of its results to accumulators."""
+        parameters = equation.params
+        line, lanes, axes = (parameters[name] for name in ("line", "lanes", "axes"))
+        target = machine_code.called(line, lanes, axes, tuple(sorted(into)))
+        avals = [out.aval for out in equation.outvars]
+        return self.call(target, values, avals, [into.get(k) for k in range(len(avals))])
 
     def other_loop(self, written: WrittenLoop, values: Sequence[Value], avals: Sequence[Any]) -> list[Value]:
         """A loop that has become machine code before; its large arrays stay where they are, and it changes them."""

@@ -1,0 +1,296 @@
+"""Sums that a loop carries, added to in place by the calls that make their terms: the numbers of JAX's loops."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.extend import core as jex
+
+from spherejax.compiler import native_code, scalarize
+from spherejax.compiler.native import loops
+from spherejax.compiler.native.loops import LoopText
+
+
+@pytest.fixture(autouse=True)
+def on():
+    with native_code():
+        if not native_code.is_enabled():
+            pytest.skip("no machine code with this jaxlib, or without llvmlite")
+        yield
+
+
+@pytest.fixture
+def additions(monkeypatch):
+    """How many results of calls, and how many arrays, have been added in place."""
+    counts = {"by calls": 0, "of arrays": 0}
+
+    def count(name, what, size):
+        method = getattr(LoopText, name)
+
+        def counted(text, *arguments):
+            counts[what] += size(*arguments)
+            return method(text, *arguments)
+
+        monkeypatch.setattr(LoopText, name, counted)
+
+    count("adding_line", "by calls", lambda equation, values, into: len(into))
+    count("_added", "of arrays", lambda *_: 1)
+    return counts
+
+
+def written(function, *examples):
+    """The results of a function that is one `while`, which is machine code."""
+    closed = jax.make_jaxpr(function)(*examples)
+
+    def evaluated(*values):
+        known = dict(zip([*closed.jaxpr.constvars, *closed.jaxpr.invars], [*closed.consts, *values], strict=True))
+
+        def read(atom):
+            return atom.val if isinstance(atom, jex.Literal) else known[atom]
+
+        for equation in closed.jaxpr.eqns:
+            operands = [read(atom) for atom in equation.invars]
+            if equation.primitive.name == "while":
+                results = loops.looped(equation.params, operands)
+            else:
+                results = equation.primitive.bind(*operands, **equation.params)
+                results = results if equation.primitive.multiple_results else [results]
+            known.update(zip(equation.outvars, results, strict=True))
+        return [read(atom) for atom in closed.jaxpr.outvars]
+
+    return jax.jit(evaluated)(*examples)
+
+
+def layers(width):
+    """A network with two layers of weights, in one vector with their biases and three numbers that it does not read."""
+    sizes = [width * 2, width, width * width, width, width]
+    ends = np.cumsum(sizes)
+
+    def network(w, x):
+        first, b, second, c, last = jnp.split(w[: ends[-1]], ends[:-1])
+        y = jnp.tanh(first.reshape(width, 2) @ x + b)
+        y = jnp.tanh(second.reshape(width, width) @ y + c)
+        return last @ y
+
+    return network, 0.5 * jnp.asarray(np.random.default_rng(0).normal(size=ends[-1] + 3))
+
+
+def turned(turn):
+    """Five turns of a loop; each makes of the sum so far, the point and its own number the next sum and point."""
+
+    def function(w, x):
+        def body(state):
+            i, total, x = state
+            total, x = turn(total, x, i, w)
+            return i + 1, total, 0.9 * x
+
+        return [*jax.lax.while_loop(lambda state: state[0] < 5, body, (jnp.asarray(0), jnp.full_like(w, 0.25), x))]
+
+    return function
+
+
+def cases_of(network):
+    """Turns, each with how many results of calls and how many arrays are added in place."""
+
+    def by_weights(w, x):
+        return jax.grad(network)(w, x)
+
+    def added(total, x, i, w):
+        return total + by_weights(w, x), x
+
+    def added_the_other_way(total, x, i, w):
+        return by_weights(w, x) + total, x
+
+    def with_the_other_results(total, x, i, w):
+        value, back = jax.vjp(network, w, x)
+        of_w, of_x = back(1.0 + 0.1 * value)
+        return total + of_w, x + 0.1 * of_x
+
+    def the_sum_is_read(total, x, i, w):
+        total = total + by_weights(w, x)
+        return total, x + 0.1 * total[:2]
+
+    def the_sum_before_is_read(total, x, i, w):
+        return total + by_weights(w, x), x + 0.1 * total[:2]
+
+    def the_term_is_read(total, x, i, w):
+        term = by_weights(w, x)
+        return total + term, x + 0.1 * term[:2]
+
+    def a_difference(total, x, i, w):
+        return by_weights(w, x) - total, x
+
+    def a_multiple(total, x, i, w):
+        return total + 2.0 * by_weights(w, x), x
+
+    def two_terms(total, x, i, w):
+        return total + by_weights(w, x) + by_weights(w, jnp.sin(x)), x
+
+    def two_terms_the_last_one_first(total, x, i, w):
+        last = by_weights(w, jnp.sin(x))
+        return total + by_weights(w, x) + last, x
+
+    def an_array(total, x, i, w):
+        return total + jnp.sin(w * x[0]), x
+
+    def in_another_shape(total, x, i, w):
+        return (total[None] + by_weights(w, x)[None])[0], x
+
+    def in_some_turns(total, x, i, w):
+        return jax.lax.cond(jnp.sin(2.0 * i) > 0, lambda total: total + by_weights(w, x), lambda total: total, total), x
+
+    def in_both_branches(total, x, i, w):
+        def one(total, x):
+            return total + by_weights(w, x), x
+
+        def other(total, x):
+            return total + jnp.sin(w) + by_weights(w, 2.0 * x), 0.5 * x
+
+        return jax.lax.cond(jnp.sin(2.0 * i) > 0, one, other, total, x)
+
+    def a_branch_with_another_array(total, x, i, w):
+        return jax.lax.cond(
+            jnp.sin(2.0 * i) > 0, lambda total: total + by_weights(w, x), lambda total: 2.0 * total, total
+        ), x
+
+    def a_branch_that_shows_the_sum(total, x, i, w):
+        def one(total):
+            total = total + by_weights(w, x)
+            return total, total.reshape(-1)
+
+        total, same = jax.lax.cond(jnp.sin(2.0 * i) > 0, one, lambda total: (total, w), total)
+        return total + by_weights(w, x), x + 0.1 * same[:2]
+
+    def of_points(w, x):
+        return jnp.outer(jnp.linspace(0.5, 1.0, 3), x)
+
+    def in_a_scan(total, x, i, w):
+        one = jax.lax.scan(lambda total, x: (total + by_weights(w, x), None), total, of_points(w, x))
+        return one[0], x
+
+    def from_zeros_in_a_scan(total, x, i, w):
+        begin = jnp.zeros_like(w)
+        return total + jax.lax.scan(lambda t, x: (t + by_weights(w, x), x[0]), begin, of_points(w, x))[0], x
+
+    def from_ones_in_a_scan(total, x, i, w):
+        begin = jnp.ones_like(w)
+        return total + jax.lax.scan(lambda t, x: (t + by_weights(w, x), x[0]), begin, of_points(w, x))[0], x
+
+    def a_scan_that_shows_its_sums(total, x, i, w):
+        def one(t, x):
+            t = t + by_weights(w, x)
+            return t, t[:2]
+
+        more, shown = jax.lax.scan(one, jnp.zeros_like(w), of_points(w, x))
+        return total + more, x + 0.1 * shown[1]
+
+    def a_scan_that_reads_its_sums(total, x, i, w):
+        more, _ = jax.lax.scan(lambda t, x: (t + by_weights(w, x + 0.01 * t[:2]), None), 0 * w, of_points(w, x))
+        return total + more, x
+
+    def a_scan_that_is_read(total, x, i, w):
+        more, _ = jax.lax.scan(lambda t, x: (t + by_weights(w, x), None), jnp.zeros_like(w), of_points(w, x))
+        return total + more, x + 0.1 * more[:2]
+
+    def a_scan_with_a_branch_that_shows_its_sums(total, x, i, w):
+        def one(state, x):
+            t, _ = state
+
+            def more(t):
+                t = t + by_weights(w, x)
+                return t, t[:2]
+
+            return jax.lax.cond(x[0] > 0.1, more, lambda t: (t, x), t), None
+
+        (more, shown), _ = jax.lax.scan(one, (jnp.zeros_like(w), x), of_points(w, x))
+        return total + more, x + 0.1 * shown
+
+    def a_scan_with_a_loop_that_looks_at_its_sums(total, x, i, w):
+        def one(t, x):
+            def body(s):
+                return s[0] + by_weights(w, x), s[1] + 1
+
+            return jax.lax.while_loop(lambda s: (s[1] < 3) & (s[0][0] < 0.05), body, (t, 0))[0], None
+
+        return total + jax.lax.scan(one, jnp.zeros_like(w), of_points(w, x))[0], x
+
+    def a_loop_that_looks_at_its_sums(total, x, i, w):
+        def body(s):
+            return s[0] + by_weights(w, x), s[1] + 1
+
+        return jax.lax.while_loop(lambda s: (s[1] < 3) & (s[0][0] < 0.3), body, (total, 0))[0], x
+
+    def back_along_a_scan(total, x, i, w):
+        def end(w, x):
+            return jnp.sum(jax.lax.scan(lambda x, _: (x + 0.1 * network(w, x), None), x, length=4)[0])
+
+        of_w, of_x = jax.grad(end, (0, 1))(w, x)
+        return total + of_w, x + 0.1 * of_x
+
+    def in_a_program(total, x, i, w):
+        return jax.jit(added)(total, x, i, w)
+
+    return {
+        added: (1, 0),
+        added_the_other_way: (1, 0),
+        with_the_other_results: (1, 0),
+        the_sum_is_read: (1, 0),
+        the_sum_before_is_read: (0, 0),
+        the_term_is_read: (0, 1),
+        a_difference: (0, 0),
+        a_multiple: (0, 1),
+        two_terms: (2, 0),
+        two_terms_the_last_one_first: (1, 1),
+        an_array: (0, 1),
+        in_another_shape: (0, 0),
+        in_some_turns: (1, 0),
+        in_both_branches: (2, 1),
+        a_branch_with_another_array: (0, 0),
+        a_branch_that_shows_the_sum: (2, 0),
+        in_a_scan: (1, 0),
+        from_zeros_in_a_scan: (1, 0),
+        from_ones_in_a_scan: (1, 1),
+        a_scan_that_shows_its_sums: (1, 1),
+        a_scan_that_reads_its_sums: (0, 1),
+        a_scan_that_is_read: (1, 1),
+        a_scan_with_a_branch_that_shows_its_sums: (1, 1),
+        a_scan_with_a_loop_that_looks_at_its_sums: (1, 1),
+        a_loop_that_looks_at_its_sums: (1, 0),
+        back_along_a_scan: (1, 0),
+        in_a_program: (1, 0),
+    }
+
+
+NAMES = [turn.__name__ for turn in cases_of(None)]
+
+
+def assert_those_of_jax(name, width, additions):
+    network, w = layers(width)
+    x = jnp.array([0.3, -1.2])
+    (expected,) = (turned(turn)(w, x) for turn in cases_of(network) if turn.__name__ == name)
+    ((turn, counts),) = (
+        (turn, counts) for turn, counts in cases_of(scalarize(network, w, x)).items() if turn.__name__ == name
+    )
+    additions.update(dict.fromkeys(additions, 0))
+    results = written(turned(turn), w, x)
+    for result, right in zip(results, expected, strict=True):
+        np.testing.assert_allclose(result, right, rtol=1e-12, atol=1e-13)
+    assert tuple(additions.values()) == counts
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_sums_are_those_of_jax(name, additions):
+    assert_those_of_jax(name, 17, additions)
+
+
+def test_the_sum_of_thousands_of_derivatives(additions):
+    """More than a loop changes in place as a rule; the loop is written once more, with another limit."""
+    network, w = layers(64)
+    x = jnp.array([0.3, -1.2])
+    turn = next(turn for turn in cases_of(scalarize(network, w, x)) if turn.__name__ == "back_along_a_scan")
+    plain = next(turn for turn in cases_of(network) if turn.__name__ == "back_along_a_scan")
+    results = written(turned(turn), w, x)
+    for result, right in zip(results, turned(plain)(w, x), strict=True):
+        np.testing.assert_allclose(result, right, rtol=1e-11, atol=1e-12)
+    assert additions["by calls"] > 0
+    assert additions["of arrays"] == 0
