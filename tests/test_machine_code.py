@@ -715,21 +715,24 @@ def test_a_loop_around_a_loop_that_is_machine_code_already(small_ones_too):
         np.testing.assert_array_equal(third[2], one)
 
 
-def test_a_loop_around_a_loop_around_a_loop_is_left_to_xla(small_ones_too):
-    def twice(rate, of_inner):
+@pytest.mark.parametrize(("n_more", "is_left"), [(1, False), (2, True)])
+def test_loops_around_loops_are_left_to_xla_beyond_three(small_ones_too, n_more, is_left):
+    def within(rate, of_inner, n):
+        if n == 0:
+            return lambda: rows_by_loops(rate, of_inner)[1]
+
         def turn(state):
             i, y = state
-            return i + 1, y + of_inner(lambda: rows_by_loops(rate, of_inner))()[1] * y
+            return i + 1, y + of_inner(within(rate, of_inner, n - 1))() * y
 
-        return jax.lax.while_loop(lambda state: state[0] < 3, turn, (jnp.zeros((), jnp.int64), ARGUMENTS[0]))
+        return lambda: jax.lax.while_loop(lambda s: s[0] < 3, turn, (jnp.zeros((), jnp.int64), ARGUMENTS[0]))[1]
 
-    expected = jax.jit(lambda: twice(field, lambda inner: inner))()
+    expected = jax.jit(within(field, lambda inner: inner, n_more))()
     with machine_code.native_code():
-        whole = whole_loops(lambda: twice(FIELD, whole_loops))
-        assert "while" in str(jax.make_jaxpr(whole)())
-        results = jax.jit(whole)()
-    for one, other in zip(results, expected, strict=True):
-        np.testing.assert_allclose(one, other, rtol=1e-13, atol=1e-15)
+        whole = whole_loops(within(FIELD, whole_loops, n_more))
+        assert ("while" in str(jax.make_jaxpr(whole)())) is is_left
+        found = jax.jit(whole)()
+    np.testing.assert_allclose(found, expected, rtol=1e-13, atol=1e-15)
 
 
 @pytest.mark.parametrize("counts", [[2], [3, 1, 2], [0, 0]])

@@ -10,6 +10,7 @@ arrays stay arrays in memory and indices may be known only when the program runs
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import reduce
+from itertools import accumulate
 from typing import Any, NamedTuple
 
 import jax
@@ -19,6 +20,7 @@ from spherejax.compiler.emit.llvm_arrays import (
     LARGEST_WRITTEN_OUT,
     ArrayText,
     NotWrittenError,
+    TooManyEntriesError,
     Value,
     chunks,
     constant,
@@ -273,7 +275,7 @@ def _dynamic_slice(text, values, parameters, avals):
 
 def _to_be_changed(text: ArrayText, value: Value) -> Value:
     """An array to write into: a copy, or where it is large the array itself."""
-    if value.size >= text.large:
+    if text.stays(value):
         return text.changed(value)  # a copy in each turn would cost more than the turn
     target = text.array(value.shape, value.kind)
     text.copy(value, target)
@@ -317,6 +319,10 @@ def _gather(text, values, parameters, avals):
     # Batched indices come from `vmap`; the loop is of a single run.
     if how.operand_batching_dims or not aval.size:
         raise NotWrittenError("a gather by rows")
+    if (known := text.numbers_of(indices)) is not None:
+        entries = gathered(np.arange(source.size).reshape(source.shape), known, parameters)
+        if np.all(entries >= 0):
+            return [text.moved([source], np.broadcast_to(entries, aval.shape), source.kind)]
     of_index, n = how.start_index_map, len(how.start_index_map)
     rows = indices.size // n if n else 1
     if rows > LARGEST_GATHER:
@@ -371,6 +377,32 @@ def _scatter(text, values, parameters, avals):
     return [changed]
 
 
+def _scatter_add(text, values, parameters, avals):
+    """The transpose of a gather whose indices are known, and all different."""
+    (aval,), (target, indices, source) = avals, values
+    how, known = parameters["dimension_numbers"], text.numbers_of(indices)
+    if known is None or how.operand_batching_dims or not source.size:
+        raise NotWrittenError("a scatter whose indices are computed")
+    window = iter(source.shape[d] for d in how.update_window_dims)
+    sizes = [1 if d in how.inserted_window_dims else next(window) for d in range(len(target.shape))]
+    begins = np.zeros((*known.shape[:-1], len(target.shape)), int)
+    begins[..., list(how.scatter_dims_to_operand_dims)] = known
+    if np.any(begins < 0) or np.any(begins + sizes > target.shape):
+        raise NotWrittenError("a scatter with an index out of range")
+    kept = [d for d in range(len(sizes)) if d not in how.inserted_window_dims]
+    block = _offsets(target.shape, sizes).reshape([sizes[d] for d in kept])
+    places = (begins @ _strides(target.shape)).reshape(known.shape[:-1] + (1,) * len(kept)) + block
+    places = np.moveaxis(places, range(places.ndim - len(kept), places.ndim), how.update_window_dims).ravel()
+    if np.unique(places).size < places.size:
+        raise NotWrittenError("a scatter that adds twice in one place")
+    # From where each entry comes that is added; the first of all is nothing.
+    entries = np.zeros(target.size, int)
+    entries[places] = 1 + np.arange(source.size)
+    nothing = Value((), target.kind, constant(0, target.kind))
+    added = text.moved([nothing, source], entries.reshape(target.shape), target.kind)
+    return written_by_entry(text, OPERATIONS["add"], [target, added], {}, [aval])
+
+
 def _same(text, values, parameters, avals):
     del text, parameters
     return [value.as_shape(aval.shape) for value, aval in zip(values, avals, strict=True)]
@@ -416,8 +448,10 @@ def _reduction(name: str, by: str, start: Mapping[np.dtype, Any]) -> ArrayOperat
         call = Call((kind, kind), kind, {})
         if value.size == aval.size or not aval.size:
             return [value.as_shape(aval.shape)]  # nothing is put together
-        if value.size > LARGEST_WRITTEN_OUT:
+        if value.size > LARGEST_WRITTEN_OUT and aval.size > 1:
             raise NotWrittenError(f"{value.size} numbers that are put together")
+        if value.size >= text.large:
+            raise TooManyEntriesError(f"{value.size} numbers that are put together")
         if not operation.can_be_llvm(call):
             raise NotWrittenError(f"{name} of {kind}")
 
@@ -441,6 +475,53 @@ def _reduction(name: str, by: str, start: Mapping[np.dtype, Any]) -> ArrayOperat
             for entry in rows[at, 1:]:
                 total = joined(width, total, text.read(value, int(entry), width))
             text.write(target, at, total, width)
+        return [target]
+
+    return ArrayOperation(name=name, names=names, llvm=llvm, reduces=True)
+
+
+def _cumulative(name: str, by: str) -> ArrayOperation:
+    """An operation that puts together each entry with all before it along an axis.
+
+    Args:
+        name: of the primitive.
+        by: the operation on two numbers.
+    """
+    operation = OPERATIONS[by]
+
+    def names(graph: Graph, inputs: Sequence[np.ndarray], use: Use) -> list[np.ndarray]:
+        (dtype,) = use.dtypes
+
+        def joined(a: int, b: int) -> int:
+            return operation.fold(graph, a, b) if operation.fold else graph.apply(by, (a, b), dtype, ())
+
+        rows = [np.moveaxis(inputs[0], use.parameters["axis"], 0)[:: -1 if use.parameters["reverse"] else 1]]
+        done = list(accumulate(rows[0], np.vectorize(joined, otypes=[np.int64])))
+        done = np.reshape(done, rows[0].shape)[:: -1 if use.parameters["reverse"] else 1]
+        return [np.moveaxis(done, 0, use.parameters["axis"])]
+
+    def llvm(text: ArrayText, values: Sequence[Value], parameters: Any, avals: Sequence[Any]) -> list[Value]:
+        (aval,), (value,) = avals, values
+        call = Call((value.kind, value.kind), value.kind, {})
+        if parameters["axis"] != 0 or parameters["reverse"] or not operation.can_be_llvm(call):
+            raise NotWrittenError(f"{name} from the end, or of another axis than the first")
+        if value.size <= 1 or aval.shape[0] == 1:
+            return [value]
+        if value.size >= text.large:
+            raise TooManyEntriesError(f"{name} of {value.size} numbers")
+        n, width = aval.shape[0], value.size // aval.shape[0]
+        target = text.array(aval.shape, value.kind)
+        for at, wide in chunks(width):
+            text.write(target, at, text.read(value, at, wide), wide)
+
+        def turn(i: str) -> None:
+            before = text.made(f"mul nsw i64 {i}, {width}")
+            for at, wide in chunks(width):
+                last, here = (text.made(f"add nsw i64 {before}, {at + skipped}") for skipped in (0, width))
+                numbers = text.read(target, last, wide), text.read(value, here, wide)
+                text.write(target, here, operation.in_llvm(text.at(wide), call, *numbers), wide)
+
+        text.counted(n - 1, turn)
         return [target]
 
     return ArrayOperation(name=name, names=names, llvm=llvm, reduces=True)
@@ -597,7 +678,9 @@ _ALL = (
     ArrayOperation(name="scatter", names=_names_by_jax(0, 2), llvm=_scatter, fuses=False),
     ArrayOperation(name="iota", names=_names_of_iota, llvm=_iota),
     ArrayOperation(name="empty2", llvm=_empty, fuses=False),
+    ArrayOperation(name="scatter-add", llvm=_scatter_add, fuses=False),
     *_REDUCTIONS,
+    _cumulative("cumsum", "add"),
     ArrayOperation(name="dot_general", names=_names_of_product, llvm=_dot_general, reduces=True),
     _solving("symmetric_solve", symmetric_solve),
     _solving("block_solve", block_solve),
@@ -611,3 +694,36 @@ _ALL = (
 
 ARRAY_OPERATIONS: dict[str, ArrayOperation] = {operation.name: operation for operation in _ALL}
 """By the names of JAX's primitives."""
+
+
+# Constants -----------------------------------------------------------------------------------------------------------
+
+
+def of_constants(name: str, arrays: Sequence[np.ndarray], parameters: Any, avals: Sequence[Any]) -> list | None:
+    """What an operation gives of constants, by NumPy: JAX would compile each of them, at 20 ms. None for others."""
+    if name == "pad":
+        has_gaps = any(interior for *_, interior in parameters["padding_config"])
+        return None if has_gaps else [_padded(arrays[0], arrays[1], parameters)]
+    if (rule := ARRAY_OPERATIONS.get(name)) is not None and rule.moves is not None:
+        return rule.moves(arrays, parameters)
+    if name == "iota":
+        shape, dimension = avals[0].shape, parameters["dimension"]
+        return [np.indices(shape)[dimension].astype(avals[0].dtype)]
+    if name == "convert_element_type":
+        return [arrays[0].astype(avals[0].dtype)]
+    if name == "select_n" and len(arrays) == 3:
+        return [np.where(arrays[0], arrays[2], arrays[1])]
+    return [_BY_NUMPY[name](*arrays)] if name in _BY_NUMPY else None
+
+
+_BY_NUMPY: dict[str, Callable] = {
+    "add": np.add, "sub": np.subtract, "mul": np.multiply, "neg": np.negative, "eq": np.equal, "ne": np.not_equal,
+    "lt": np.less, "le": np.less_equal, "gt": np.greater, "ge": np.greater_equal,
+}  # fmt: skip
+
+
+def _padded(array: np.ndarray, filling: np.ndarray, parameters: Any) -> np.ndarray:
+    config = [(low, high) for low, high, _ in parameters["padding_config"]]
+    if any(low < 0 or high < 0 for low, high in config):
+        raise NotWrittenError("a negative padding")
+    return np.pad(array, config, constant_values=filling.item())

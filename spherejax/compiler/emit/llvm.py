@@ -91,6 +91,13 @@ def constant(value: Any, kind: str) -> str:
     return str(int(value)) if kind == WHOLE else "true" if value else "false"
 
 
+def number_of(text: str, kind: str) -> Any:
+    """The reverse of `constant`."""
+    if kind == DOUBLE:
+        return np.uint64(int(text, 16)).view(np.float64)
+    return np.int64(text) if kind == WHOLE else np.bool_(text == "true")
+
+
 class Numbers:
     """Writes operations on numbers, or on vectors of some; a `LlvmWriter`.
 

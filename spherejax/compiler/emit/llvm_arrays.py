@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from spherejax.compiler.emit.llvm import LANES_AT_A_TIME, Numbers, constant
+from spherejax.compiler.emit.llvm import LANES_AT_A_TIME, Numbers, constant, number_of
 from spherejax.compiler.emit.llvm_vectors import spread_out
 
 LARGE = 4096
@@ -50,16 +50,58 @@ class TooManyEntriesError(NotWrittenError):
     """An array is too large to be computed entry by entry."""
 
 
+class ChangedInPlaceError(NotWrittenError):
+    """An array is read after it was changed, or is not to be changed."""
+
+
+class InPlace(NamedTuple):
+    """Which arrays stay where they are.
+
+    Attributes:
+        large: entries of any that does.
+        has_rooms: whether those of fewer entries do as well that are written and read by rows alone.
+    """
+
+    large: int
+    has_rooms: bool
+
+
+BY_SIZE = InPlace(LARGE, has_rooms=False)
+
+
+def within_limits(written: Callable[[InPlace], Any]) -> Any:
+    """What is written with the first limits with which it can be: the fewer arrays are copied the better.
+
+    Raises:
+        NotWrittenError: if there are none.
+    """
+    limits = InPlace(LARGE, has_rooms=True)
+    while True:
+        try:
+            return written(limits)
+        except TooManyEntriesError:
+            # It computes with arrays of thousands of numbers. Those that it changes in place are larger, or it copies
+            # them.
+            if limits.large >= LARGEST_COPIED:
+                raise
+            limits = limits._replace(large=2 * limits.large)
+        except ChangedInPlaceError:
+            if not limits.has_rooms:
+                raise
+            limits = limits._replace(has_rooms=False)
+
+
 class Memory:
     """Where an array is.
 
     Attributes:
         version: how often it was changed in place.
         is_own: whether it may be.
+        room: entries of an array that stays where it is, however small; 0 for others.
     """
 
-    def __init__(self, is_own: bool):
-        self.version, self.is_own = 0, is_own
+    def __init__(self, is_own: bool, room: int = 0):
+        self.version, self.is_own, self.room = 0, is_own, room
 
 
 class Value(NamedTuple):
@@ -138,6 +180,11 @@ class ArrayText:
         self.outside: list[str] = []
         self._n, self._bytes = 0, 0
         self._constants: dict[tuple, Value] = {}
+        self._numbers: dict[str, np.ndarray] = {}
+
+    def stays(self, value: Value) -> bool:
+        """Whether an array stays where it is; a slice of it is another one."""
+        return value.size >= self.large or (value.memory is not None and 1 < value.memory.room == value.size)
 
     # Lines and memory -------------------------------------------------------------------------------------------------
 
@@ -184,7 +231,15 @@ class ArrayText:
             entries = ", ".join(f"{stored} {x}" for x in numbers)
             self.outside.append(f"{name} = private constant [{array.size} x {stored}] [{entries}], align 64")
             self._constants[key] = Value(array.shape, kind, name, Memory(is_own=False))
+            self._numbers[name] = array
         return self._constants[key] if array.size else Value(array.shape, kind, "")
+
+    def numbers_of(self, value: Value) -> np.ndarray | None:
+        """What a constant is; None for what is none."""
+        if value.size == 1 and value.name[0] not in "%@":
+            return np.reshape(number_of(value.name, value.kind), value.shape)
+        array = self._numbers.get(value.name)
+        return None if array is None or array.size != value.size else array.reshape(value.shape)
 
     def checked(self, value: Value) -> Value:
         """A value that is still what it was.
@@ -193,7 +248,7 @@ class ArrayText:
             NotWrittenError: if it was changed in place.
         """
         if value.memory is not None and value.memory.version != value.version:
-            raise NotWrittenError("a large array that is read after it was changed")
+            raise ChangedInPlaceError("a large array that is read after it was changed")
         return value
 
     def changed(self, value: Value) -> Value:
@@ -204,7 +259,7 @@ class ArrayText:
         """
         memory = self.checked(value).memory
         if memory is None or not memory.is_own:
-            raise NotWrittenError("a large array that is not to be changed")
+            raise ChangedInPlaceError("a large array that is not to be changed")
         # Whoever still holds the value of before has the old version, and is refused when it reads.
         memory.version += 1
         return value._replace(version=memory.version)
@@ -415,6 +470,8 @@ class ArrayText:
         """
         total, at, n, step = start, 0, len(entries), LANES_AT_A_TIME
         begin = int(entries[0])
+        if n > self._largest_written_out and np.array_equal(entries, begin + np.arange(n)):
+            return join(1, total, self._folded_by_a_loop(value, begin, n, join))
         # Eight sums side by side, which are put together at the end: in a chain each sum would wait for the one before.
         # The order of a sum is another one than XLA's; results differ by rounding.
         if n >= step and np.array_equal(entries, begin + np.arange(n)):
@@ -424,6 +481,22 @@ class ArrayText:
             total, at = join(1, start, self._across(several, value.kind, join)), n // step * step
         for entry in entries[at:]:
             total = join(1, total, self.read(value, int(entry)))
+        return total
+
+    def _folded_by_a_loop(self, value: Value, begin: int, n: int, join: Callable[..., str]) -> str:
+        """Entries that stand in one piece, put together in eight sums side by side."""
+        step, rest = LANES_AT_A_TIME, n % LANES_AT_A_TIME
+        several = self.array((step,), value.kind)
+        self.write(several, 0, self.read(value, begin, step), step)
+
+        def add(i: str) -> None:
+            at = self.made(f"add nsw i64 {self.made(f'mul nsw i64 {i}, {step}')}, {begin + step}")
+            self.write(several, 0, join(step, self.read(several, 0, step), self.read(value, at, step)), step)
+
+        self.counted(n // step - 1, add)
+        total = self._across(self.read(several, 0, step), value.kind, join)
+        for entry in range(begin + n - rest, begin + n):
+            total = join(1, total, self.read(value, entry))
         return total
 
     def _across(self, name: str, kind: str, join: Callable[..., str]) -> str:

@@ -25,7 +25,13 @@ from jax.extend import core as jex
 from jax.interpreters import ad, batching, mlir
 from jax.interpreters.partial_eval import dce_jaxpr
 
-from spherejax.compiler.array_operations import ARRAY_OPERATIONS, both_arranged, gathered, written_by_entry
+from spherejax.compiler.array_operations import (
+    ARRAY_OPERATIONS,
+    both_arranged,
+    gathered,
+    of_constants,
+    written_by_entry,
+)
 from spherejax.compiler.emit.llvm import FunctionText, head
 from spherejax.compiler.emit.llvm_arena import SMALLEST_SHARED, shared_room
 from spherejax.compiler.emit.llvm_arrays import ArrayText, NotWrittenError, Value, kind_of
@@ -275,7 +281,7 @@ class ProgramText(LoopText):
                 return [gathered(arrays[0], indices, parameters)]
 
             return self._moves(taken, values[:1], parameters, avals)
-        if are_known and (known := _of_constants(name, [value.array for value in values], parameters, avals)):
+        if are_known and (known := of_constants(name, [value.array for value in values], parameters, avals)):
             return [Known(np.broadcast_to(x, aval.shape)) for x, aval in zip(known, avals, strict=True)]
         if name == "block_solve":
             return [self.block_solve([self.forced(value) for value in values], parameters, avals[0])]
@@ -473,36 +479,6 @@ class ProgramText(LoopText):
         if len(aval.shape) != 3:
             raise NotWrittenError("several systems of blocks")
         return elimination(self, values, **parameters)
-
-
-def _of_constants(name: str, arrays: Sequence[np.ndarray], parameters: Any, avals: Sequence[Any]) -> list | None:
-    """What an operation gives of constants, by NumPy: JAX would compile each of them, at 20 ms. None for others."""
-    if name == "pad":
-        has_gaps = any(interior for *_, interior in parameters["padding_config"])
-        return None if has_gaps else [_padded(arrays[0], arrays[1], parameters)]
-    if (rule := ARRAY_OPERATIONS.get(name)) is not None and rule.moves is not None:
-        return rule.moves(arrays, parameters)
-    if name == "iota":
-        shape, dimension = avals[0].shape, parameters["dimension"]
-        return [np.indices(shape)[dimension].astype(avals[0].dtype)]
-    if name == "convert_element_type":
-        return [arrays[0].astype(avals[0].dtype)]
-    if name == "select_n" and len(arrays) == 3:
-        return [np.where(arrays[0], arrays[2], arrays[1])]
-    return [_BY_NUMPY[name](*arrays)] if name in _BY_NUMPY else None
-
-
-_BY_NUMPY: dict[str, Callable] = {
-    "add": np.add, "sub": np.subtract, "mul": np.multiply, "neg": np.negative, "eq": np.equal, "ne": np.not_equal,
-    "lt": np.less, "le": np.less_equal, "gt": np.greater, "ge": np.greater_equal,
-}  # fmt: skip
-
-
-def _padded(array: np.ndarray, filling: np.ndarray, parameters: Any) -> np.ndarray:
-    config = [(low, high) for low, high, _ in parameters["padding_config"]]
-    if any(low < 0 or high < 0 for low, high in config):
-        raise NotWrittenError("a negative padding")
-    return np.pad(array, config, constant_values=filling.item())
 
 
 def _spread_to(inputs: Sequence[np.ndarray], shape: Any) -> list[np.ndarray]:

@@ -24,17 +24,20 @@ from spherejax.compiler import private
 from spherejax.compiler.array_operations import ARRAY_OPERATIONS, written_by_entry
 from spherejax.compiler.emit.llvm import FunctionText, head
 from spherejax.compiler.emit.llvm_arrays import (
+    BY_SIZE,
     LARGE,
-    LARGEST_COPIED,
     LARGEST_STACK,
     LARGEST_STACK_OF_MANY,
     ArrayText,
+    ChangedInPlaceError,
+    InPlace,
     Memory,
     NotWrittenError,
     TooManyEntriesError,
     Value,
     kind_of,
     stored_as,
+    within_limits,
 )
 from spherejax.compiler.lanes import by_a_loop
 from spherejax.compiler.native import compile as machine_code
@@ -63,17 +66,12 @@ def looped(parameters: Any, values: Sequence[Any]) -> list[Any]:
     arrays = [jax.numpy.asarray(value) for value in values]
     avals = [ShapedArray(x.shape, x.dtype) for x in arrays]
     results = [ShapedArray(v.aval.shape, v.aval.dtype) for v in parameters["body_jaxpr"].jaxpr.outvars]
-    large = LARGE
-    while True:
-        try:
-            written = LoopText(parameters, avals, results, large).whole()
-            break
-        except TooManyEntriesError:
-            # It computes with arrays of thousands of numbers. Those that it changes in place are larger, or it copies
-            # them: the fewer these are the better.
-            if large >= LARGEST_COPIED:
-                raise
-            large *= 2
+    written = within_limits(lambda limits: LoopText(parameters, avals, results, limits).whole())
+    return bound(arrays, written, results)
+
+
+def bound(arrays: Sequence[Any], written: "WrittenLoop", results: Sequence[Any]) -> list[Any]:
+    """The results of a function that is written, from arrays."""
     return _loop.bind(*arrays, written=written, results=tuple(results))
 
 
@@ -91,9 +89,9 @@ class WrittenLoop(NamedTuple):
     in_place: tuple[tuple[int, int], ...]
 
 
-PREFIX, PREFIX_AROUND = "spherejaxloop_", "spherejaxloops_"
-"""Of the names of these functions, and of those that call some of them. Names are loaded in alphabetical order: each
-comes behind those that it calls."""
+PREFIXES = "spherejaxloop_", "spherejaxloops_", "spherejaxprogram_"
+"""Of the names of these functions: of loops, of what calls loops, and of what calls these. Names are loaded in
+alphabetical order: each comes behind those that it calls."""
 
 
 LARGEST_AROUND_ARRAYS = 35_000
@@ -115,9 +113,14 @@ def _lowered(context: Any, *arguments: Any, written: WrittenLoop, results: tuple
 
 
 def _target_of(written: WrittenLoop) -> str:
-    calls_loops = any(name.startswith(PREFIX) for name in written.called)
-    prefix = PREFIX_AROUND if calls_loops else PREFIX
+    prefix = PREFIXES[_depth(written)]
     return machine_code.target_of(written.text, is_wide=False, is_optimised=True, prefix=prefix)
+
+
+def _depth(written: WrittenLoop) -> int:
+    """How many of these functions are called within each other."""
+    depths = (1 + i for i, prefix in enumerate(PREFIXES) for name in written.called if name.startswith(prefix))
+    return max(depths, default=0)
 
 
 def _batched(arguments: Sequence, dims: Sequence, **how: Any) -> tuple[Sequence, Sequence]:
@@ -135,17 +138,17 @@ class LoopText:
     Args:
         parameters: of the operation `while`.
         avals, results: what its arguments and results are.
-        large: entries of an array that is changed in place, at least.
+        limits: which arrays are changed in place.
 
     Attributes:
         called: names of other machine code that is called.
         in_place: as of `WrittenLoop`.
     """
 
-    def __init__(self, parameters: Any, avals: Sequence[Any], results: Sequence[Any], large: int = LARGE):
+    def __init__(self, parameters: Any, avals: Sequence[Any], results: Sequence[Any], limits: InPlace = BY_SIZE):
         self.parameters, self.avals, self.results = parameters, avals, results
-        stack = LARGEST_STACK if large == LARGE else LARGEST_STACK_OF_MANY
-        self.text = ArrayText(large=large, largest_stack=stack)
+        stack = LARGEST_STACK if limits.large <= LARGE else LARGEST_STACK_OF_MANY
+        self.text, self._has_rooms = ArrayText(large=limits.large, largest_stack=stack), limits.has_rooms
         self.called: dict[str, None] = {}
         self.in_place: list[tuple[int, int]] = []
         self._calls_arrays = False
@@ -162,13 +165,14 @@ class LoopText:
         values = [self._given(aval, f"%a{i}") for i, aval in enumerate(self.avals)]
         n_conditions, n_fixed = self.parameters["cond_nconsts"], self.parameters["body_nconsts"]
         begin = n_conditions + n_fixed
-        slots = []
+        slots, body = [], self.parameters["body_jaxpr"].jaxpr
         for i, (value, aval) in enumerate(zip(values[begin:], self.results, strict=True)):
             # A large array (samples, steps) is carried where the result belongs, which saves copying it at the end.
-            if value.size < text.large:
+            is_room = self._has_rooms and value.size >= SMALLEST_ROOM and _is_room(body, body.invars[n_fixed + i])
+            if value.size < text.large and not is_room:
                 slots.append(None)
                 continue
-            slot = Value(aval.shape, value.kind, f"%r{i}", Memory(is_own=True))
+            slot = Value(aval.shape, value.kind, f"%r{i}", Memory(is_own=True, room=value.size))
             self.in_place.append((begin + i, i))
             self._copy_elsewhere(value, slot)
             slots.append(slot)
@@ -176,9 +180,9 @@ class LoopText:
         for i, (value, aval) in enumerate(zip(finals, self.results, strict=True)):
             self._result(value, aval, f"%r{i}")
         # Room first: an `alloca` within the loop would take more of the stack in each turn.
-        body = [*text.room, *self._at_begin, *text.lines, "  ret ptr null", "}", ""]
+        lines = [*text.room, *self._at_begin, *text.lines, "  ret ptr null", "}", ""]
         begin_of_all = head(len(self.avals), len(self.results))
-        return "\n".join([*text.declared, *text.outside, *self._functions, begin_of_all, *body])
+        return "\n".join([*text.declared, *text.outside, *self._functions, begin_of_all, *lines])
 
     def _copy_elsewhere(self, source: Value, target: Value) -> None:
         """A large array into its result, unless XLA has made both the same place in memory."""
@@ -370,7 +374,7 @@ class LoopText:
         """Where a loop carries a value: a large array stays where it is."""
         if not value.size:
             return value
-        if value.size >= self.text.large:
+        if self.text.stays(value):
             return self.text.changed(value)
         # A copy, because the loop writes to its slots, and the value may still be read behind it.
         slot = self.text.array(value.shape, value.kind)
@@ -402,8 +406,8 @@ class LoopText:
             if value.size <= 1 or value.name == slot.name or id(value.memory) not in places:
                 safe.append(value)
                 continue
-            if value.size >= self.text.large:
-                raise NotWrittenError("a large array that changes its place")
+            if self.text.stays(value):
+                raise ChangedInPlaceError("an array that changes its place")
             apart = self.text.array(value.shape, value.kind)
             self.text.copy(value, apart)
             safe.append(apart)
@@ -477,7 +481,7 @@ class LoopText:
         cases = " ".join(f"i64 {i}, label %{label}" for i, label in enumerate(labels[:-1]))
         text.say(f"switch i64 {index}, label %{labels[-1]} [{cases}]")
         in_place = {argument for argument, _ in accumulators}
-        changeable = [v for k, v in enumerate(operands) if v.size >= self.text.large or k in in_place]
+        changeable = [v for k, v in enumerate(operands) if text.stays(v) or k in in_place]
         memories = {id(v.memory): v.memory for v in changeable if v.memory is not None}
         before = {key: memory.version for key, memory in memories.items()}
         latest = dict(before)
@@ -491,9 +495,9 @@ class LoopText:
                 memory.version = before[key]
             outputs = self.program(closed, operands, accumulators)
             if not targets:
-                stays = {result for _, result in accumulators}
+                kept = {result for _, result in accumulators}
                 targets = [
-                    text.array(v.shape, v.kind) if 0 < v.size < text.large and k not in stays else None
+                    None if text.stays(v) or not v.size or k in kept else text.array(v.shape, v.kind)
                     for k, v in enumerate(outputs)
                 ]
             for value, target in zip(outputs, targets, strict=True):
@@ -513,7 +517,8 @@ class LoopText:
                 continue
             first = outs[0][at]
             if first.size and any(out[at].name != first.name for out in outs):
-                raise TooManyEntriesError("branches that return large arrays")
+                too_many = first.size >= text.large
+                raise (TooManyEntriesError if too_many else ChangedInPlaceError)("branches that return other arrays")
             merged.append(first._replace(version=first.memory.version) if first.memory else first)
         return merged
 
@@ -548,16 +553,19 @@ class LoopText:
 
     def other_loop(self, written: WrittenLoop, values: Sequence[Value], avals: Sequence[Any]) -> list[Value]:
         """A loop that has become machine code before; its large arrays stay where they are, and it changes them."""
-        if any(name.startswith(PREFIX) for name in written.called):
-            raise NotWrittenError("a loop around a loop around a loop")
+        if _depth(written) + 1 >= len(PREFIXES):
+            raise NotWrittenError("loops within loops within loops")
         self.called.update(dict.fromkeys(written.called))
         results: list[Value | None] = [None] * len(avals)
+        given = [*values]
         for argument, result in written.in_place:
             value = values[argument]
+            if not self.text.stays(value):  # somebody may read it again
+                value = self._slot(value)
             if value.memory is None or not value.memory.is_own:
-                raise NotWrittenError("a loop that changes a large array of somebody else")
-            results[result] = value
-        return self.call(_target_of(written), values, avals, results)
+                raise ChangedInPlaceError("a loop that changes an array of somebody else")
+            results[result], given[argument] = value, value
+        return self.call(_target_of(written), given, avals, results)
 
     def call(
         self, name: str, values: Sequence[Value], avals: Sequence[Any], in_place: Sequence[Value | None] | None = None
@@ -634,6 +642,64 @@ class LoopText:
                 data.append(number)
             places.append(data)
         return _Frame(frame, *places)
+
+
+BY_ROWS = ("dynamic_slice", "dynamic_update_slice", "gather", "scatter")
+"""Operations that read rows of their first argument, or write some."""
+
+SMALLEST_ROOM = 256
+"""Entries of an array that stays where it is because it is written and read by rows alone, at least."""
+
+
+def _is_room(jaxpr: Any, array: Any) -> bool:
+    """Whether an argument of a program is written and read by rows alone, as are the results that it becomes."""
+    for equation in jaxpr.eqns:
+        places = [i for i, atom in enumerate(equation.invars) if atom is array]
+        if not places:
+            continue
+        name = equation.primitive.name
+        if name in BY_ROWS:
+            within: list | None = [] if places == [0] else None
+        elif name == LOOP:
+            in_place = dict(equation.params["written"].in_place)
+            within = [] if all(i in in_place for i in places) else None
+        else:
+            within = _inner_arguments(equation, places)
+        if within is None or not all(_is_room(*inner) for inner in within):
+            return False
+        # What is of its kind may be what it has become.
+        kind = array.aval.shape, array.aval.dtype
+        if not all(_is_room(jaxpr, out) for out in equation.outvars if (out.aval.shape, out.aval.dtype) == kind):
+            return False
+    return True
+
+
+def _inner_arguments(equation: Any, places: Sequence[int]) -> list[tuple[Any, Any]] | None:
+    """Programs within an operation, with those of their arguments that its arguments at some places are; None where it
+    reads whole arrays."""
+    name, parameters, found = equation.primitive.name, equation.params, []
+    for i in places:
+        if name in INNER_PROGRAM:
+            inner = [(parameters[INNER_PROGRAM[name]], i)]
+        elif name == "cond" and i > 0:
+            inner = [(branch, i - 1) for branch in parameters["branches"]]
+        elif name == "while":
+            n_conditions, n_fixed = parameters["cond_nconsts"], parameters["body_nconsts"]
+            of_condition, of_body = i, i - n_conditions
+            if i >= n_conditions + n_fixed:
+                of_condition = i - n_fixed
+            inner = [(parameters["body_jaxpr"], of_body)] if of_body >= 0 else []
+            is_fixed = n_conditions <= i < n_conditions + n_fixed
+            inner += [] if is_fixed else [(parameters["cond_jaxpr"], of_condition)]
+        elif name == "scan":
+            # The last ones are given to each turn row by row.
+            inner = [(parameters["jaxpr"], i)] if i < sum(private.counts_of_scan(parameters)) else []
+        else:
+            return None
+        for program, at in inner:
+            jaxpr = getattr(program, "jaxpr", program)
+            found.append((jaxpr, jaxpr.invars[at]))
+    return found
 
 
 class _Frame:

@@ -7,6 +7,7 @@ from typing import Any
 from spherejax.compiler.native import compile as machine_code
 from spherejax.compiler.native.loop_fusion import fuse_loops, whole_loops
 from spherejax.compiler.native.uninitialized import uninitialized
+from spherejax.compiler.native.whole_programs import as_one_call
 
 
 class native_code:  # noqa: N801 - a context manager, as those of contextlib
@@ -19,13 +20,15 @@ class native_code:  # noqa: N801 - a context manager, as those of contextlib
     the rest of each turn in few kernels. A context cannot do that, because it does not see the loops. A function that
     is decorated is not to be differentiated: derivative rules of its parts are lost. With `joins=False` a loop that
     cannot be machine code as a whole is left as it is: derivatives have branches that XLA cannot write into kernels.
+    With `is_one_call=True` the function becomes one call, with all around the loops, where that is not long.
 
     Without llvmlite, on a GPU, under `jax.disable_jit()` and with a version of jaxlib that is not known, the context
     changes nothing, and XLA compiles everything.
     """
 
-    def __init__(self, enabled: bool = True, joins: bool = True):
-        self._enabled, self._joins = enabled, joins
+    def __init__(self, enabled: bool = True, joins: bool = True, is_one_call: bool = False):
+        self._enabled = enabled
+        self._changed = as_one_call if is_one_call else fuse_loops if joins else whole_loops
         # One stack for each entry: the same object may be entered again within itself.
         self._entered: list[ExitStack] = []
 
@@ -41,11 +44,11 @@ class native_code:  # noqa: N801 - a context manager, as those of contextlib
 
     def __call__(self, function: Callable) -> Callable:
         """The same function within the context, with fused loops."""
-        fused = (fuse_loops if self._joins else whole_loops)(function)
+        changed = self._changed(function)
 
         def made(*arguments: Any) -> Any:
             with machine_code.native_code(self._enabled):
-                return fused(*arguments)
+                return changed(*arguments)
 
         return made
 

@@ -25,7 +25,10 @@ def uninitialized(shape: tuple[int, ...]) -> Array:
     return _uninitialized.bind(shape=tuple(shape), is_native=machine_code.is_available())
 
 
-_uninitialized = Primitive("uninitialized")
+UNINITIALIZED = "uninitialized"
+"""The name of the operation."""
+
+_uninitialized = Primitive(UNINITIALIZED)
 
 
 @_uninitialized.def_abstract_eval

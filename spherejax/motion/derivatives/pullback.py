@@ -47,6 +47,7 @@ from spherejax.motion.equations.projection import correction_reads_parameters
 from spherejax.motion.integration.compiling import (
     for_one_run,
     in_machine_code,
+    in_one_call,
     native_run,
     options_for,
     uninitialized,
@@ -55,7 +56,7 @@ from spherejax.motion.integration.implicit_rows import differentiable_solver
 from spherejax.motion.integration.jobs import Job, JobKind, with_slopes
 from spherejax.motion.integration.lanes import Block, LaneProblem, StepLog, steps_in_lanes
 from spherejax.motion.integration.lanes.stages import explicit_tableau, own_time
-from spherejax.motion.integration.one_run import integrated, lane_job, outcome_of_first_row, run_and_slopes
+from spherejax.motion.integration.one_run import integrated, lane_job, made_alone, outcome_of_first_row, run_and_slopes
 from spherejax.motion.integration.problem import (
     Outcome,
     Parameters,
@@ -235,6 +236,7 @@ def pulled_back(
     by_assembly: Any = None,
     along: Float[Array, " p"] | None = None,
     kept: StepsKept | None = None,
+    has_succeeded: Flag | bool = True,
 ) -> "Gradient":
     """The derivatives of a number by the traced numbers.
 
@@ -244,10 +246,14 @@ def pulled_back(
         by_assembly: those by how the start was assembled; None where it does not depend on that.
         along: the direction in the numbers whose sensitivity is carried along; None for a mixture of all.
         kept: the steps of the run, with the sensitivity by a mixture of all numbers; None where it has kept none.
+        has_succeeded: whether the run has; else the derivatives are NaN.
     """
     # Straight lines of a thousand operations and more, back as well as forward, take XLA minutes.
     with program_for(state_rate, plan.structure, plan.scalar).native_code(in_machine_code(plan)):
-        return _pulled_back(plan, method, inputs, by_ys, by_assembly, along, kept)
+        return in_one_call(
+            lambda: _pulled_back(plan, method, inputs, by_ys, by_assembly, along, kept, has_succeeded),
+            in_machine_code(plan),
+        )
 
 
 def can_keep_steps(plan: Plan, method: RunMethod) -> bool:
@@ -279,7 +285,8 @@ def run_that_keeps_steps(plan: Plan, method: RunMethod, inputs: RunInputs) -> tu
 def _with_steps(plan: Plan, method: RunMethod, inputs: RunInputs) -> tuple[Outcome, StepsKept]:
     """As `run_that_keeps_steps`, for one run."""
     usual = method.decided
-    with program_for(state_rate, plan.structure, plan.scalar).native_code(in_machine_code(plan)):
+
+    def kept() -> tuple[Outcome, StepsKept]:
         job, problem = _as_mixture(plan, usual, inputs, None)
         if method.stiff_rest is not None:
             # A run for the other method keeps none: the way back makes its own.
@@ -290,16 +297,24 @@ def _with_steps(plan: Plan, method: RunMethod, inputs: RunInputs) -> tuple[Outco
         numbers, rows, may_run, status, _ = lane
         log = StepLog.of_nothing(room, 0, job.y0.shape)
         made, log = steps_in_lanes(problem, numbers, rows, inputs.ts, may_run, status, Block(), room, (), log)
-    made = jax.tree.map(lambda leaf: leaf[0], made._replace(n_lane_steps=made.n_lane_steps[None]))
-    # A run that failed, or had too many steps, is made once more without the sensitivity: what is reported is its own.
-    n_steps = made.n_accepted + made.n_rejected
-    are_kept = job.may_run & (made.status == Status.SUCCEEDED) & (n_steps <= method.max_steps)
-    outcome = jax.lax.cond(
-        are_kept,
-        lambda: outcome_of_first_row(usual, job, made),
-        lambda: integrated(plan, method, inputs),
-    )
-    return outcome, StepsKept(are_kept, made.n_accepted, log)
+        made = jax.tree.map(lambda leaf: leaf[0], made._replace(n_lane_steps=made.n_lane_steps[None]))
+        n_steps = made.n_accepted + made.n_rejected
+        are_kept = job.may_run & (made.status == Status.SUCCEEDED) & (n_steps <= method.max_steps)
+        outcome, steps = outcome_of_first_row(usual, job, made), StepsKept(are_kept, made.n_accepted, log)
+        if method.stiff_rest is not None:
+            return outcome, steps
+        # A run that failed, or had too many steps, is made once more without the sensitivity: what is reported is its
+        # own. Where it is not wanted its loop makes no step.
+        alone = job.numbers._replace(slopes=None, tangent_tolerance_factor=None)
+        again = job._replace(numbers=alone, y0=job.y0[0], may_run=job.may_run & ~are_kept)
+        of_itself = made_alone(plan, usual, again, inputs.ts)
+        return jax.tree.map(lambda one, other: jnp.where(are_kept, one, other), outcome, of_itself), steps
+
+    with program_for(state_rate, plan.structure, plan.scalar).native_code(in_machine_code(plan)):
+        outcome, steps = in_one_call(kept, in_machine_code(plan))
+        if method.stiff_rest is not None:  # it is one of two loops, each of which takes as long to compile
+            outcome = jax.lax.cond(steps.are_kept, lambda: outcome, lambda: integrated(plan, method, inputs))
+    return outcome, steps
 
 
 def can_go_back(plan: Plan) -> bool:
@@ -350,7 +365,9 @@ def _as_mixture(plan: Plan, method: RunMethod, inputs: RunInputs, along: Any) ->
     return job, kind.problem(inputs.ts, method.shared)._replace(max_steps=_room(plan))
 
 
-def _pulled_back(plan: Plan, method: RunMethod, inputs: RunInputs, by_ys, by_assembly, along, kept) -> Gradient:
+def _pulled_back(
+    plan: Plan, method: RunMethod, inputs: RunInputs, by_ys, by_assembly, along, kept, has_succeeded
+) -> Gradient:
     values, known, ts = inputs.values, inputs.known, inputs.ts
     job, problem = _as_mixture(plan, method, inputs, along)
     rate = program_for(state_rate, plan.structure, plan.scalar)
@@ -376,7 +393,7 @@ def _pulled_back(plan: Plan, method: RunMethod, inputs: RunInputs, by_ys, by_ass
 
     at_start = _start_back(plan, inputs, by_assembly, by_start)
     amplification = jnp.where(swept.is_sound, swept.sweep.amplification, 0.0)
-    is_determined = swept.is_sound & (amplification <= LARGEST_AMPLIFICATION)
+    is_determined = swept.is_sound & jnp.asarray(has_succeeded) & (amplification <= LARGEST_AMPLIFICATION)
     slopes = to_values(swept.sweep.by_numbers)[0] + at_start
     return Gradient(jnp.where(is_determined, slopes, jnp.nan), amplification)
 

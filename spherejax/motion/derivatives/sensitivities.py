@@ -186,9 +186,9 @@ def _along_one_direction(
         (inputs, arrays), has_succeeded, kept = jax.tree.unflatten(tree, leaves)
         method = eqx.combine(arrays, others)
         back = method.with_solver(with_steps_back(method.solver))
-        gradient = pulled_back(plan, back, inputs, *jax.tree.unflatten(image, y), None, kept)
+        gradient = pulled_back(plan, back, inputs, *jax.tree.unflatten(image, y), None, kept, has_succeeded)
         gradient.warn()
-        return [jnp.where(has_succeeded, gradient.slopes, jnp.nan)]
+        return [gradient.slopes]
 
     def differentiable(leaves, x):
         _, jacobian = _run_and_jacobians(plan, others)(*jax.tree.unflatten(tree, leaves)[0])

@@ -75,6 +75,16 @@ def native_run(function: Callable[[], Any], is_native: bool, joins: bool = True)
     return native_code(is_native, joins)(function)()
 
 
+def in_one_call(function: Callable[[], Any], is_native: bool) -> Any:
+    """What a function returns that holds a run and what is around its loops: by one call, where that can be.
+
+    Args:
+        function: without arguments, not to be differentiated.
+        is_native: as of `native_run`.
+    """
+    return native_code(is_native, is_one_call=True)(function)()
+
+
 def uninitialized(shape: tuple[int, ...]) -> Array:
     """An array for rows that a loop writes before it reads them: what is in it before is undetermined."""
     return native_code.uninitialized(shape)

@@ -292,6 +292,16 @@ def integrated(plan: Plan, method: RunMethod, inputs: RunInputs) -> Outcome:
     return jax.tree.map(lambda usual, stiff: jnp.where(is_stiff, stiff, usual), *outcomes)
 
 
+def made_alone(plan: Plan, method: RunMethod, job: Job, ts) -> Outcome:
+    """What comes of a job by a loop of its own; under `jax.vmap` it is not for lanes, as `integrated` is."""
+    problem = JobKind.of(plan, method).problem(ts, method.shared)
+    lane = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], job)
+    made = run_in_lanes(problem, lane.numbers, lane.y0, ts, lane.may_run, lane.status, Block())
+    return _outcome(
+        method, job, jax.tree.map(lambda leaf: leaf[0], made._replace(n_lane_steps=made.n_lane_steps[None]))
+    )
+
+
 @cached_jit(what="the start of a run", options=OF_START)
 def started(plan: Plan, method: RunMethod, inputs: RunInputs) -> tuple[RunCheckpoint, Assembly]:
     """A run before its first window of samples, and how its start was assembled; its times are those of its ends."""

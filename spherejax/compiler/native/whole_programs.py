@@ -1,0 +1,188 @@
+"""What lies around the loops of a run, and these loops, as one call of machine code.
+
+A run of a few dozen steps takes a twentieth of a millisecond. XLA compiles what lies around its loops (the numbers of
+the run, its tolerances, what is counted at its end) into a hundred kernels, calls each by itself, and hands a program
+with more than a thousand operations to a thread of its own, for which the caller waits: more than the run takes. Here
+all of it becomes one function, which is for XLA a program without operations.
+
+What has no rule is left to XLA, around the loops.
+"""
+
+import logging
+from collections.abc import Callable, Mapping, Sequence
+from functools import wraps
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from jax.core import Tracer
+from jax.extend import core as jex
+from jax.interpreters.partial_eval import dce_jaxpr
+
+from spherejax.compiler.array_operations import of_constants
+from spherejax.compiler.emit.llvm import head
+from spherejax.compiler.emit.llvm_arena import SMALLEST_SHARED, shared_room
+from spherejax.compiler.emit.llvm_arrays import (
+    LARGEST_STACK,
+    ArrayText,
+    InPlace,
+    Memory,
+    NotWrittenError,
+    Value,
+    within_limits,
+)
+from spherejax.compiler.native import compile as machine_code
+from spherejax.compiler.native.loop_fusion import whole_loops
+from spherejax.compiler.native.loops import LOOP, LoopText, WrittenLoop, bound
+from spherejax.compiler.native.uninitialized import UNINITIALIZED
+
+LARGEST_WHOLE = 30_000
+"""Lines of such a function, at most. LLVM takes 60 us for each: more than is gained is soon lost."""
+
+LARGEST_TABLE = 2**16
+"""Indices of a constant that is written into the text, at most."""
+
+
+def as_one_call(function: Callable) -> Callable:
+    """The same function as one call of machine code, where all in it has a rule; else `whole_loops`.
+
+    Not to be differentiated: rules that are attached to parts of it are lost.
+    """
+
+    @wraps(function)
+    def made(*arguments: Any) -> Any:
+        if not machine_code.native_code_enabled():
+            return function(*arguments)
+        closed, shapes = jax.make_jaxpr(whole_loops(function), return_shape=True)(*arguments)
+        jaxpr, _ = dce_jaxpr(closed.jaxpr, [True] * len(closed.jaxpr.outvars), instantiate=True)
+        values = jax.tree.leaves(arguments)
+        try:
+            results = _called(jaxpr, closed.consts, values)
+        except NotWrittenError as reason:
+            logging.getLogger(__name__).info("what is around the loops of a run is left to XLA: %s", reason)
+            results = jex.jaxpr_as_fun(jex.ClosedJaxpr(jaxpr, closed.consts))(*values)
+        return jax.tree.unflatten(jax.tree.structure(shapes), results)
+
+    return made
+
+
+class _Aliases(NamedTuple):
+    """Large arrays that loops change, and where they are.
+
+    Attributes:
+        own: indices of arguments that are changed, each with the result that it becomes.
+        results: of the function, those among them that nobody asked for at the end.
+    """
+
+    own: Mapping[int, int]
+    results: Sequence[Any]
+
+
+def _called(jaxpr: Any, constants: Sequence[Any], values: Sequence[Any]) -> list[Any]:
+    """The results of a program, by one call.
+
+    Raises:
+        NotWrittenError: if something in it has no rule.
+    """
+    rooms = [equation for equation in jaxpr.eqns if equation.primitive.name == UNINITIALIZED]
+    equations = [equation for equation in jaxpr.eqns if equation.primitive.name != UNINITIALIZED]
+    if not any(equation.primitive.name == LOOP for equation in equations):
+        raise NotWrittenError("no loop in machine code")
+    # Indices are written into the text, where they say which entries are moved. Other constants are passed, so that
+    # the text is the same for other numbers.
+    known = {v: np.asarray(x) for v, x in zip(jaxpr.constvars, constants, strict=True) if _is_index(x)}
+    given = [(v, x) for v, x in zip(jaxpr.constvars, constants, strict=True) if v not in known]
+    room = [out for equation in rooms for out in equation.outvars]
+    invars = [*(v for v, _ in given), *jaxpr.invars, *room]
+    arrays = [*(x for _, x in given), *values]
+    # Room is asked for by calls of its own: to XLA it is an array as any other, which it may give away.
+    arrays += [equation.primitive.bind(**equation.params) for equation in rooms]
+    arrays = [jax.numpy.asarray(x, v.aval.dtype) for v, x in zip(invars, arrays, strict=True)]
+
+    def written(limits: InPlace) -> tuple[WrittenLoop, Sequence[Any]]:
+        aliases = _aliases_of(equations, invars, jaxpr.outvars)
+        return WholeText(invars, equations, aliases, known, limits).whole(), [v.aval for v in aliases.results]
+
+    return bound(arrays, *within_limits(written))[: len(jaxpr.outvars)]
+
+
+def _is_index(constant: Any) -> bool:
+    is_small = jax.numpy.size(constant) <= LARGEST_TABLE
+    return is_small and not isinstance(constant, Tracer) and jax.numpy.result_type(constant) != np.float64
+
+
+def _aliases_of(equations: Sequence[Any], invars: Sequence[Any], outvars: Sequence[Any]) -> _Aliases:
+    """Which arguments are changed in place by the loops that are called, and which results they become."""
+    origin = {v: i for i, v in enumerate(invars)}
+    latest: dict[int, Any] = {}
+    for equation in equations:
+        if equation.primitive.name != LOOP:
+            continue
+        for argument, result in equation.params["written"].in_place:
+            atom = equation.invars[argument]
+            if isinstance(atom, jex.Var) and atom in origin:
+                origin[equation.outvars[result]] = origin[atom]
+                latest[origin[atom]] = equation.outvars[result]
+    results = [*outvars]
+    own = {}
+    for argument, last in latest.items():
+        if last not in results:
+            results.append(last)
+        own[argument] = results.index(last)
+    return _Aliases(own, results)
+
+
+class WholeText(LoopText):
+    """The text of a program with the loops that it calls.
+
+    Args:
+        invars, equations: of the program.
+        aliases: of arrays that loops change in place.
+        known: constants that are written into the text.
+        limits: as of `LoopText`.
+    """
+
+    def __init__(
+        self,
+        invars: Sequence[Any],
+        equations: Sequence[Any],
+        aliases: _Aliases,
+        known: Mapping[Any, Any],
+        limits: InPlace,
+    ):
+        super().__init__(None, [v.aval for v in invars], [v.aval for v in aliases.results], limits)
+        self.text = ArrayText(smallest_shared=SMALLEST_SHARED, large=limits.large)
+        self._invars, self._equations, self._aliases, self._known = invars, equations, aliases, known
+
+    def written(self) -> str:
+        """The text of a function that XLA calls."""
+        text, own = self.text, self._aliases.own
+        environment: dict[Any, Value] = {v: self.constant(x) for v, x in self._known.items()}
+        for i, v in enumerate(self._invars):
+            value = self._given(v.aval, f"%a{i}")
+            if i in own:
+                self.in_place.append((i, own[i]))
+                slot = Value(v.aval.shape, value.kind, f"%r{own[i]}", Memory(is_own=True, room=value.size))
+                self._copy_elsewhere(value, slot)
+                value = slot
+            environment[v] = value
+        results = self.evaluated(self._equations, self._aliases.results, environment)
+        for i, (value, aval) in enumerate(zip(results, self.results, strict=True)):
+            self._result(text.checked(value), aval, f"%r{i}")
+        room = [*text.room, *shared_room(text.shared, text.lines, LARGEST_STACK)]
+        body = [*room, *self._at_begin, *text.lines, "  ret ptr null", "}", ""]
+        begin = head(len(self.avals), len(self.results))
+        return "\n".join([*text.declared, *text.outside, *self._functions, begin, *body])
+
+    def equation(self, equation: Any, values: list[Value]) -> list[Value]:
+        """The results of an operation."""
+        if len(self.text.lines) > LARGEST_WHOLE:
+            raise NotWrittenError("a long program")
+        known = [self.text.numbers_of(value) for value in values]
+        avals = [out.aval for out in equation.outvars]
+        # Indices alone: an array of one number again and again is shorter as a loop.
+        if all(array is not None for array in known) and all(aval.dtype != np.float64 for aval in avals):
+            arrays = of_constants(equation.primitive.name, [np.asarray(x) for x in known], equation.params, avals)
+            if arrays is not None:
+                return [self.constant(np.broadcast_to(x, v.shape)) for x, v in zip(arrays, avals, strict=True)]
+        return super().equation(equation, values)
