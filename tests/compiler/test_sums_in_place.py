@@ -21,8 +21,8 @@ def on():
 
 @pytest.fixture
 def additions(monkeypatch):
-    """How many results of calls, and how many arrays, have been added in place."""
-    counts = {"by calls": 0, "of arrays": 0}
+    """How many results of calls, and how many arrays, have been added in place, and rows of how many behind a loop."""
+    counts = {"by calls": 0, "of arrays": 0, "behind loops": 0}
 
     def count(name, what, size):
         method = getattr(LoopText, name)
@@ -35,6 +35,7 @@ def additions(monkeypatch):
 
     count("adding_line", "by calls", lambda equation, values, into: len(into))
     count("_added", "of arrays", lambda *_: 1)
+    count("_add_products", "behind loops", lambda *_: 1)
     return counts
 
 
@@ -90,7 +91,7 @@ def turned(turn):
 
 
 def cases_of(network):
-    """Turns, each with how many results of calls and how many arrays are added in place."""
+    """Turns, each with what is added in place, as of `additions`."""
 
     def by_weights(w, x):
         return jax.grad(network)(w, x)
@@ -108,14 +109,14 @@ def cases_of(network):
 
     def the_sum_is_read(total, x, i, w):
         total = total + by_weights(w, x)
-        return total, x + 0.1 * total[:2]
+        return total, x + 0.1 * total[200:202]
 
     def the_sum_before_is_read(total, x, i, w):
-        return total + by_weights(w, x), x + 0.1 * total[:2]
+        return total + by_weights(w, x), x + 0.1 * total[200:202]
 
     def the_term_is_read(total, x, i, w):
         term = by_weights(w, x)
-        return total + term, x + 0.1 * term[:2]
+        return total + term, x + 0.1 * term[200:202]
 
     def a_difference(total, x, i, w):
         return by_weights(w, x) - total, x
@@ -159,7 +160,7 @@ def cases_of(network):
             return total, total.reshape(-1)
 
         total, same = jax.lax.cond(jnp.sin(2.0 * i) > 0, one, lambda total: (total, w), total)
-        return total + by_weights(w, x), x + 0.1 * same[:2]
+        return total + by_weights(w, x), x + 0.1 * same[200:202]
 
     def of_points(w, x):
         return jnp.outer(jnp.linspace(0.5, 1.0, 3), x)
@@ -179,18 +180,18 @@ def cases_of(network):
     def a_scan_that_shows_its_sums(total, x, i, w):
         def one(t, x):
             t = t + by_weights(w, x)
-            return t, t[:2]
+            return t, t[200:202]
 
         more, shown = jax.lax.scan(one, jnp.zeros_like(w), of_points(w, x))
         return total + more, x + 0.1 * shown[1]
 
     def a_scan_that_reads_its_sums(total, x, i, w):
-        more, _ = jax.lax.scan(lambda t, x: (t + by_weights(w, x + 0.01 * t[:2]), None), 0 * w, of_points(w, x))
+        more, _ = jax.lax.scan(lambda t, x: (t + by_weights(w, x + 0.01 * t[200:202]), None), 0 * w, of_points(w, x))
         return total + more, x
 
     def a_scan_that_is_read(total, x, i, w):
         more, _ = jax.lax.scan(lambda t, x: (t + by_weights(w, x), None), jnp.zeros_like(w), of_points(w, x))
-        return total + more, x + 0.1 * more[:2]
+        return total + more, x + 0.1 * more[200:202]
 
     def a_scan_with_a_branch_that_shows_its_sums(total, x, i, w):
         def one(state, x):
@@ -198,7 +199,7 @@ def cases_of(network):
 
             def more(t):
                 t = t + by_weights(w, x)
-                return t, t[:2]
+                return t, t[200:202]
 
             return jax.lax.cond(x[0] > 0.1, more, lambda t: (t, x), t), None
 
@@ -231,66 +232,71 @@ def cases_of(network):
         return jax.jit(added)(total, x, i, w)
 
     return {
-        added: (1, 0),
-        added_the_other_way: (1, 0),
-        with_the_other_results: (1, 0),
-        the_sum_is_read: (1, 0),
-        the_sum_before_is_read: (0, 0),
-        the_term_is_read: (0, 1),
-        a_difference: (0, 0),
-        a_multiple: (0, 1),
-        two_terms: (2, 0),
-        two_terms_the_last_one_first: (1, 1),
-        an_array: (0, 1),
-        in_another_shape: (0, 0),
-        in_some_turns: (1, 0),
-        in_both_branches: (2, 1),
-        a_branch_with_another_array: (0, 0),
-        a_branch_that_shows_the_sum: (2, 0),
-        in_a_scan: (1, 0),
-        from_zeros_in_a_scan: (1, 0),
-        from_ones_in_a_scan: (1, 1),
-        a_scan_that_shows_its_sums: (1, 1),
-        a_scan_that_reads_its_sums: (0, 1),
-        a_scan_that_is_read: (1, 1),
-        a_scan_with_a_branch_that_shows_its_sums: (1, 1),
-        a_scan_with_a_loop_that_looks_at_its_sums: (1, 1),
-        a_loop_that_looks_at_its_sums: (1, 0),
-        back_along_a_scan: (1, 0),
-        in_a_program: (1, 0),
+        added: (1, 0, 0),
+        added_the_other_way: (1, 0, 0),
+        with_the_other_results: (1, 0, 0),
+        the_sum_is_read: (1, 0, 0),
+        the_sum_before_is_read: (0, 0, 0),
+        the_term_is_read: (0, 1, 0),
+        a_difference: (0, 0, 0),
+        a_multiple: (0, 1, 0),
+        two_terms: (2, 0, 0),
+        two_terms_the_last_one_first: (1, 1, 0),
+        an_array: (0, 1, 0),
+        in_another_shape: (0, 0, 0),
+        in_some_turns: (1, 0, 0),
+        in_both_branches: (2, 1, 0),
+        a_branch_with_another_array: (0, 0, 0),
+        a_branch_that_shows_the_sum: (2, 0, 0),
+        in_a_scan: (1, 0, 1),
+        from_zeros_in_a_scan: (1, 0, 1),
+        from_ones_in_a_scan: (1, 1, 1),
+        a_scan_that_shows_its_sums: (1, 1, 0),
+        a_scan_that_reads_its_sums: (0, 1, 0),
+        a_scan_that_is_read: (1, 1, 1),
+        a_scan_with_a_branch_that_shows_its_sums: (1, 1, 0),
+        a_scan_with_a_loop_that_looks_at_its_sums: (1, 1, 0),
+        a_loop_that_looks_at_its_sums: (1, 0, 0),
+        back_along_a_scan: (1, 0, 1),
+        in_a_program: (1, 0, 0),
     }
 
 
 NAMES = [turn.__name__ for turn in cases_of(None)]
 
 
-def assert_those_of_jax(name, width, additions):
+def assert_same(results, expected):
+    for result, right in zip(results, expected, strict=True):
+        np.testing.assert_allclose(result, right, rtol=1e-11, atol=1e-12)
+
+
+def both_of(name, width):
+    """The loop around a turn with a scalar program and with a function of JAX, their arguments, and what is added."""
     network, w = layers(width)
     x = jnp.array([0.3, -1.2])
-    (expected,) = (turned(turn)(w, x) for turn in cases_of(network) if turn.__name__ == name)
-    ((turn, counts),) = (
-        (turn, counts) for turn, counts in cases_of(scalarize(network, w, x)).items() if turn.__name__ == name
+    (turn, counts), (plain, _) = (
+        next((turn, counts) for turn, counts in cases_of(one).items() if turn.__name__ == name)
+        for one in (scalarize(network, w, x), network)
     )
-    additions.update(dict.fromkeys(additions, 0))
-    results = written(turned(turn), w, x)
-    for result, right in zip(results, expected, strict=True):
-        np.testing.assert_allclose(result, right, rtol=1e-12, atol=1e-13)
-    assert tuple(additions.values()) == counts
+    return turned(turn), turned(plain), (w, x), counts
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_sums_are_those_of_jax(name, additions):
-    assert_those_of_jax(name, 17, additions)
+    function, plain, examples, counts = both_of(name, 40)
+    assert_same(written(function, *examples), plain(*examples))
+    assert tuple(additions.values()) == counts
+
+
+def test_rows_are_added_in_the_turns_where_their_factors_would_be_many(additions, monkeypatch):
+    function, plain, examples, _ = both_of("back_along_a_scan", 40)
+    monkeypatch.setattr(loops, "LARGEST_DEFERRED", 3)
+    assert_same(written(function, *examples), plain(*examples))
+    assert tuple(additions.values()) == (1, 0, 0)
 
 
 def test_the_sum_of_thousands_of_derivatives(additions):
-    """More than a loop changes in place as a rule; the loop is written once more, with another limit."""
-    network, w = layers(64)
-    x = jnp.array([0.3, -1.2])
-    turn = next(turn for turn in cases_of(scalarize(network, w, x)) if turn.__name__ == "back_along_a_scan")
-    plain = next(turn for turn in cases_of(network) if turn.__name__ == "back_along_a_scan")
-    results = written(turned(turn), w, x)
-    for result, right in zip(results, turned(plain)(w, x), strict=True):
-        np.testing.assert_allclose(result, right, rtol=1e-11, atol=1e-12)
-    assert additions["by calls"] > 0
-    assert additions["of arrays"] == 0
+    """Of more than a loop changes in place as a rule; it is written once."""
+    function, plain, examples, _ = both_of("back_along_a_scan", 64)
+    assert_same(written(function, *examples), plain(*examples))
+    assert tuple(additions.values()) == (1, 0, 1)

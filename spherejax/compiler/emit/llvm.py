@@ -18,9 +18,11 @@ from spherejax.compiler.emit.llvm_sums import (
     DOT,
     ROW,
     Columns,
+    DeferredRows,
     MultipleRow,
     WeightedSum,
     beside,
+    deferred_rows,
     loops_of,
 )
 from spherejax.compiler.native import ffi_abi
@@ -216,6 +218,8 @@ class FunctionText:
         n_runs: of a function for several runs at once every value is a vector, of one number for each, and so is each
             entry of its arguments and results; the loop goes over lanes one by one then.
         added: results that are added to what stands in their places, without lanes.
+        deferred: those among them whose rows the caller evaluates (`deferred_rows`); the vector for each is a further
+            result.
     """
 
     def __init__(
@@ -225,6 +229,7 @@ class FunctionText:
         axes: tuple[int, ...],
         n_runs: int = 1,
         added: tuple[int, ...] = (),
+        deferred: tuple[int, ...] = (),
     ):
         self.line, self.graph, self.added = line, line.graph, added
         self.spread, self.outputs_spread = line.spread(axes)
@@ -248,10 +253,15 @@ class FunctionText:
         is_alone = n_runs == 1 and not any(self.spread.values())
         self.loops = loops_of(line, self.place) if is_alone else None
         self.rows = rows_of(line, self._is_operation, LANES_AT_A_TIME) if is_alone else None
+        self.deferred = {result: self.deferred_rows(result) for result in deferred}
         self._in_vectors: dict[int, tuple[str, tuple[int, ...]]] = {}
         self._arrays: dict[Any, str] = {}
         self._of_one = Numbers(self._made, self.declared, self._size(False))
         self._of_all_lanes = Numbers(self._made, self.declared, self._size(True))
+
+    def deferred_rows(self, result: int) -> DeferredRows | None:
+        """The rows of a result, for a caller that evaluates them."""
+        return deferred_rows(self.loops, result)
 
     # Small things -----------------------------------------------------------------------------------------------------
 
@@ -380,6 +390,9 @@ class FunctionText:
         return self._arrays[columns]
 
     def _write_row(self, row: MultipleRow, result: int, entry: int) -> None:
+        if (rows := self.deferred.get(result)) is not None:
+            self._write_factors(row, rows, result, entry)
+            return
         name, text = ("row.added", ADDED_ROW) if result in self.added else ("row", ROW)
         self.declared[text] = None
         pointer = self._pointer(f"%r{result}", entry, FLOAT, False)
@@ -387,6 +400,19 @@ class FunctionText:
         self.lines.append(
             f"  call void @spherejax.{name}(double {factor}, ptr {others}, ptr {pointer}, i64 {len(row.others)})"
         )
+
+    def _write_factors(self, row: MultipleRow, rows: DeferredRows, result: int, entry: int) -> None:
+        """What the caller evaluates a row from."""
+        vector = f"%r{len(self.line.outputs) + [*self.deferred].index(result)}"
+        factor = self._pointer(vector, rows.factors[entry], FLOAT, False)
+        self.lines.append(f"  store double {self._value(row.factor, False)}, ptr {factor}, align 8")
+        if entry in rows.others:
+            self.declared["declare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)"] = None
+            others = self._pointer(vector, rows.others[entry], FLOAT, False)
+            self.lines.append(
+                f"  call void @llvm.memcpy.p0.p0.i64(ptr align 8 {others}, ptr align 8 {self._array(row.others)}, "
+                f"i64 {8 * len(row.others)}, i1 false)"
+            )
 
     def _array(self, nodes: tuple[int, ...]) -> str:
         """A pointer to the values of nodes, side by side."""
@@ -444,8 +470,8 @@ class FunctionText:
 
     @property
     def n_results(self) -> int:
-        """Of the line."""
-        return len(self.line.outputs)
+        """Of the line, and vectors for the caller."""
+        return len(self.line.outputs) + len(self.deferred)
 
     def _body(self) -> list[str]:
         self._part(is_wide=False)

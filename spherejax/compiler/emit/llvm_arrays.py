@@ -69,13 +69,17 @@ class InPlace(NamedTuple):
 BY_SIZE = InPlace(LARGE, has_rooms=False)
 
 
-def within_limits(written: Callable[[InPlace], Any]) -> Any:
+def within_limits(written: Callable[[InPlace], Any], large: int = LARGE) -> Any:
     """What is written with the first limits with which it can be: the fewer arrays are copied the better.
+
+    Args:
+        written: writes it.
+        large: the first limit.
 
     Raises:
         NotWrittenError: if there are none.
     """
-    limits = InPlace(LARGE, has_rooms=True)
+    limits = InPlace(large, has_rooms=True)
     while True:
         try:
             return written(limits)

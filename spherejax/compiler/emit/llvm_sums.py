@@ -28,6 +28,10 @@ FEWEST = 200
 its sum differs by rounding from that of the same line for many runs, which has no loops."""
 
 
+LEAST_DEFERRED = 8
+"""Products for each number of the vector from which a caller evaluates them, at least."""
+
+
 class Dot(NamedTuple):
     """Products whose first factors stand side by side.
 
@@ -84,6 +88,37 @@ class MultipleRow(NamedTuple):
     products: tuple[int, ...]
 
 
+class RowBlock(NamedTuple):
+    """Rows of a result that are multiples of the same nodes, a distance apart: a product b x^T.
+
+    Attributes:
+        entry, stride: where the first row begins, and how far behind it the next one.
+        n_rows, n_columns: how many rows, and of how many numbers.
+        place: in a vector, where b begins, and x behind it.
+    """
+
+    entry: int
+    stride: int
+    n_rows: int
+    n_columns: int
+    place: int
+
+
+class DeferredRows(NamedTuple):
+    """The rows of a result that a caller evaluates, from a vector with the b and x of all of them.
+
+    Attributes:
+        blocks: the rows.
+        factors, others: by the entry at which a row, or a block, begins: the place of its b, or its x.
+        size: of the vector.
+    """
+
+    blocks: tuple[RowBlock, ...]
+    factors: Mapping[int, int]
+    others: Mapping[int, int]
+    size: int
+
+
 class Loops(NamedTuple):
     """What is written as loops.
 
@@ -117,6 +152,32 @@ def loops_of(line: Any, place: Mapping[int, tuple[int, int]]) -> Loops | None:
     return loops if loops.n_products >= FEWEST else None
 
 
+def deferred_rows(loops: Loops | None, result: int) -> DeferredRows | None:
+    """The rows of a result, where a vector of their factors is much shorter than they are; else None."""
+    rows = [] if loops is None else sorted((at, row) for (i, at), row in loops.rows.items() if i == result)
+    blocks: list[RowBlock] = []
+    others: tuple[int, ...] = ()
+    for at, row in rows:
+        last = blocks[-1] if blocks else None
+        # The second row of a block tells how far apart they are.
+        stride = 0 if last is None else at - last.entry if last.n_rows == 1 else last.stride
+        if last is not None and row.others == others and at == last.entry + last.n_rows * stride:
+            blocks[-1] = last._replace(n_rows=last.n_rows + 1, stride=stride)
+        else:
+            place = 0 if last is None else last.place + last.n_rows + last.n_columns
+            blocks.append(RowBlock(at, len(row.others), 1, len(row.others), place))
+        others = row.others
+    size = blocks[-1].place + blocks[-1].n_rows + blocks[-1].n_columns if blocks else 0
+    if sum(block.n_rows * block.n_columns for block in blocks) < LEAST_DEFERRED * max(size, 1):
+        return None
+    return DeferredRows(
+        tuple(blocks),
+        {block.entry + k * block.stride: block.place + k for block in blocks for k in range(block.n_rows)},
+        {block.entry: block.place + block.n_rows for block in blocks},
+        size,
+    )
+
+
 class _SumParts(NamedTuple):
     """A sum while it is looked at.
 
@@ -137,6 +198,7 @@ class _LoopSearch:
 
     def __init__(self, line: Any, place: Mapping[int, tuple[int, int]]):
         self.line, self.graph, self.place = line, line.graph, place
+        self.sizes = [int(np.prod(shape)) for shape in line.shapes] + [group.size for group in line.residuals]
         self.results = [[int(node) for node in output.ravel()] for output in line.outputs]
         self.uses: Counter[int] = Counter(node for result in self.results for node in result)
         for node in line.nodes:
@@ -251,15 +313,9 @@ class _LoopSearch:
     def _factors(self, product: int) -> tuple[tuple[int, int], int]:
         """The place of one factor, and the other one: of two arguments the larger one is the matrix."""
         a, b = self.graph.arguments[product]
-        sizes = [self._size(self.place[x][0]) if x in self.place else -1 for x in (a, b)]
+        sizes = [self.sizes[self.place[x][0]] if x in self.place else -1 for x in (a, b)]
         first, other = (a, b) if sizes[0] >= sizes[1] else (b, a)
         return self.place[first], other
-
-    def _size(self, argument: int) -> int:
-        n = len(self.line.shapes)
-        if argument < n:
-            return int(np.prod(self.line.shapes[argument]))
-        return int(self.line.residuals[argument - n].size)
 
     def _together(self, own: Mapping[int, list[tuple[Columns, list[int]]]]) -> dict[tuple[int, Columns], tuple]:
         """Columns of several sums that stand side by side: for each the whole and its place in it."""
@@ -427,17 +483,21 @@ def _spread(name: str, width: int) -> list[str]:
     ]
 
 
-def _column_block(width: int, p: str) -> tuple[list[str], str]:
+def _column_block(adds: bool, width: int, p: str) -> tuple[list[str], str]:
     kind, zero = _vector(width), "zeroinitializer" if width > 1 else "0.0"
+    # What is added to comes from memory, and its factors are as far apart as the rows.
+    begin, at_factor = (f"%y.{p}", f"%row.{p}") if adds else (zero, f"%k.{p}")
     lines = [
+        f"  %p.y.{p} = getelementptr inbounds double, ptr %y, i64 %j.{p}",
+        *([f"  %y.{p} = load {kind}, ptr %p.y.{p}, align 8"] if adds else []),
         f"  br label %over.{p}",
         f"over.{p}:",
         f"  %k.{p} = phi i64 [0, %turn.{p}], [%k.next.{p}, %over.{p}]",
-        f"  %s.{p} = phi {kind} [{zero}, %turn.{p}], [%t.{p}, %over.{p}]",
+        f"  %s.{p} = phi {kind} [{begin}, %turn.{p}], [%t.{p}, %over.{p}]",
         f"  %row.{p} = mul nuw nsw i64 %k.{p}, %stride",
         f"  %at.{p} = add nuw nsw i64 %row.{p}, %j.{p}",
         f"  %p.w.{p} = getelementptr inbounds double, ptr %w, i64 %at.{p}",
-        f"  %p.b.{p} = getelementptr inbounds double, ptr %b, i64 %k.{p}",
+        f"  %p.b.{p} = getelementptr inbounds double, ptr %b, i64 {at_factor}",
         f"  %x.{p} = load {kind}, ptr %p.w.{p}, align 8",
         f"  %b.{p} = load double, ptr %p.b.{p}, align 8",
         *_spread(f"%b.{p}", width),
@@ -447,17 +507,46 @@ def _column_block(width: int, p: str) -> tuple[list[str], str]:
         f"  %goes.on.{p} = icmp ult i64 %k.next.{p}, %n",
         f"  br i1 %goes.on.{p}, label %over.{p}, label %sum.{p}",
         f"sum.{p}:",
-        f"  %p.y.{p} = getelementptr inbounds double, ptr %y, i64 %j.{p}",
         f"  store {kind} %t.{p}, ptr %p.y.{p}, align 8",
     ]
     return lines, f"sum.{p}"
 
 
-COLUMNS = (
-    "define internal void @spherejax.columns("
-    "ptr %w, i64 %stride, ptr %b, i64 %n, ptr noalias %y, i64 %m) noinline nounwind {\nwork:\n"
-) + _in_blocks((32, 8, 1), _column_block)
+def _columns_text(name: str, adds: bool) -> str:
+    begin = (
+        f"define internal void @spherejax.{name}("
+        "ptr %w, i64 %stride, ptr %b, i64 %n, ptr noalias %y, i64 %m) noinline nounwind {\nwork:\n"
+    )
+    return begin + _in_blocks((32, 8, 1), partial(_column_block, adds))
+
+
+COLUMNS = _columns_text("columns", False)
 """From (W, its stride, b, n, y, m) to y_j = sum_k W_kj b_k, for m of them."""
+
+PRODUCTS = (
+    _columns_text("columns.added", True)
+    + """\
+define internal void @spherejax.products(
+    ptr %f, i64 %size, i64 %n, ptr noalias %y, i64 %stride, i64 %rows, i64 %m) noinline nounwind {
+work:
+  %x = getelementptr inbounds double, ptr %f, i64 %rows
+  br label %turn
+turn:
+  %i = phi i64 [0, %work], [%i.next, %turn]
+  %b = getelementptr inbounds double, ptr %f, i64 %i
+  %at = mul nuw nsw i64 %i, %stride
+  %row = getelementptr inbounds double, ptr %y, i64 %at
+  call void @spherejax.columns.added(ptr %x, i64 %size, ptr %b, i64 %n, ptr %row, i64 %m)
+  %i.next = add nuw nsw i64 %i, 1
+  %goes.on = icmp ult i64 %i.next, %rows
+  br i1 %goes.on, label %turn, label %end
+end:
+  ret void
+}
+"""
+)
+"""From (f, its size, n, Y, its stride, rows, m) to Y_ij + sum_k b_ki x_kj in their places, for m columns; vector k of n
+has b_k and behind it x_k. A stage of a step reads and writes Y once less: that of 64 x 64 weights fills a cache."""
 
 
 def _row_block(adds: bool, width: int, p: str) -> tuple[list[str], str]:

@@ -120,17 +120,23 @@ _loaded: dict[str, tuple[Any, bytes]] = {}
 _listening = threading.local()
 
 
-def called(line: Any, lanes: tuple[int, ...], axes: tuple[int, ...], added: tuple[int, ...] = ()) -> str:
+def called(
+    line: Any,
+    lanes: tuple[int, ...],
+    axes: tuple[int, ...],
+    added: tuple[int, ...] = (),
+    deferred: tuple[int, ...] = (),
+) -> str:
     """The target of a custom call that evaluates a line: compiled, or found where another process has left it.
 
     Args:
-        line, lanes, axes, added: as of `FunctionText`.
+        line, lanes, axes, added, deferred: as of `FunctionText`.
     """
 
     def written() -> str:
-        return FunctionText(line, lanes, axes, added=added).written()
+        return FunctionText(line, lanes, axes, added=added, deferred=deferred).written()
 
-    return called_text((lanes, axes, added), line, written, is_wide=bool(lanes))
+    return called_text((lanes, axes, added, deferred), line, written, is_wide=bool(lanes))
 
 
 def called_text(key: tuple, line: Any, written: Callable[[], str], *, is_wide: bool, is_optimised: bool = True) -> str:

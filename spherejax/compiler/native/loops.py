@@ -26,6 +26,7 @@ from spherejax.compiler.emit.llvm import FunctionText, head
 from spherejax.compiler.emit.llvm_arrays import (
     BY_SIZE,
     LARGE,
+    LARGEST_COPIED,
     LARGEST_STACK,
     LARGEST_STACK_OF_MANY,
     ArrayText,
@@ -39,11 +40,12 @@ from spherejax.compiler.emit.llvm_arrays import (
     stored_as,
     within_limits,
 )
+from spherejax.compiler.emit.llvm_sums import PRODUCTS, DeferredRows
 from spherejax.compiler.lanes import by_a_loop
 from spherejax.compiler.native import compile as machine_code
 from spherejax.compiler.native import ffi_abi
 from spherejax.compiler.native.sums_in_place import NOTHING as NO_SUMS
-from spherejax.compiler.native.sums_in_place import SumsInPlace, accumulators_of, sums_in_place
+from spherejax.compiler.native.sums_in_place import SumsInPlace, accumulators_of, only_calls, sums_in_place
 from spherejax.compiler.operations import INNER_PROGRAM, OF_PRIMITIVE, OPERATIONS, Call
 from spherejax.compiler.primitive import is_called
 
@@ -66,13 +68,26 @@ def looped(parameters: Any, values: Sequence[Any]) -> list[Any]:
     arrays = [jax.numpy.asarray(value) for value in values]
     avals = [ShapedArray(x.shape, x.dtype) for x in arrays]
     results = [ShapedArray(v.aval.shape, v.aval.dtype) for v in parameters["body_jaxpr"].jaxpr.outvars]
-    written = within_limits(lambda limits: LoopText(parameters, avals, results, limits).whole())
+    written = within_limits(
+        lambda limits: LoopText(parameters, avals, results, limits).whole(), _large_for(parameters, results)
+    )
     return bound(arrays, written, results)
 
 
 def bound(arrays: Sequence[Any], written: "WrittenLoop", results: Sequence[Any]) -> list[Any]:
     """The results of a function that is written, from arrays."""
     return _loop.bind(*arrays, written=written, results=tuple(results))
+
+
+def _large_for(parameters: Any, results: Sequence[Any]) -> int:
+    """From how many entries on an array is changed in place: more than sums have that the loop carries."""
+    n_fixed, body = parameters["body_nconsts"], parameters["body_jaxpr"].jaxpr
+    pairs = [(n_fixed + k, k) for k, aval in enumerate(results) if LARGE <= aval.size < LARGEST_COPIED]
+    most = max((results[k].size for _, k in accumulators_of(body, pairs, are_summed=True)), default=0)
+    large = LARGE
+    while large <= most:
+        large *= 2
+    return large
 
 
 class WrittenLoop(NamedTuple):
@@ -93,6 +108,9 @@ PREFIXES = "spherejaxloop_", "spherejaxloops_", "spherejaxprogram_"
 """Of the names of these functions: of loops, of what calls loops, and of what calls these. Names are loaded in
 alphabetical order: each comes behind those that it calls."""
 
+
+LARGEST_DEFERRED = 2**14
+"""Numbers from which rows are evaluated behind a loop, at most: they have to fit the caches and the stack."""
 
 LARGEST_AROUND_ARRAYS = 35_000
 """Lines of a loop that calls array code (`array_programs`), at most. LLVM takes 60 us for each, 3.4 s for 15 bodies
@@ -152,6 +170,8 @@ class LoopText:
         self.called: dict[str, None] = {}
         self.in_place: list[tuple[int, int]] = []
         self._calls_arrays = False
+        # By the identity of an accumulator's memory: where a call writes what its rows are evaluated from.
+        self._vectors: dict[int, Value] = {}
         self._functions: list[str] = []
         self._at_begin: list[str] = []
 
@@ -442,7 +462,12 @@ class LoopText:
         slices = [self._row(column, at) for column in columns]
         body = parameters["jaxpr"]
         accumulators = self._accumulators(body, n_fixed, carried)
+        deferred = self._deferred_rows(body.jaxpr, accumulators, n)
+        vectors = {k: text.array((n, rows.size), "double") for k, rows in deferred.items()}
+        self._vectors.update((id(carried[k].memory), self._row(vector, at)) for k, vector in vectors.items())
         outputs = self.program(body, [*fixed, *map(self._held, carried), *slices], accumulators)
+        for k in vectors:
+            del self._vectors[id(carried[k].memory)]
         for row, value in zip(rows, outputs[n_carried:], strict=True):
             if value.size:
                 # At the index of the slices, of which the last one is the first turn where a scan is reversed.
@@ -453,7 +478,31 @@ class LoopText:
         text.say(f"store i64 {following}, ptr {counter.name}, align 8")
         text.say(f"br i1 {text.made(f'icmp slt i64 {following}, {n}')}, label %{turn}, label %{end}")
         text.lines.append(f"{end}:")
+        for k, vector in vectors.items():
+            self._add_products(deferred[k], vector, carried[k])
         return [*map(self._held, carried), *(self._held(row) for row in rows)]
+
+    def _deferred_rows(self, jaxpr: Any, accumulators: Sequence[tuple[int, int]], n: int) -> dict[int, DeferredRows]:
+        """Rows of accumulators that are added behind a scan of n turns, all turns at once."""
+        deferred = {}
+        for k, (equation, result) in only_calls(jaxpr, accumulators).items():
+            line, lanes, axes = (equation.params[name] for name in ("line", "lanes", "axes"))
+            rows = FunctionText(line, lanes, axes).deferred_rows(result)
+            if rows is not None and n * rows.size <= LARGEST_DEFERRED:
+                deferred[k] = rows
+        return deferred
+
+    def _add_products(self, rows: DeferredRows, vectors: Value, accumulator: Value) -> None:
+        """All turns of rows, added to an accumulator."""
+        text, (n, size) = self.text, vectors.shape
+        text.declared[PRODUCTS] = None
+        into = text.changed(self._held(accumulator))
+        for block in rows.blocks:
+            factors, target = text.pointer(vectors, block.place), text.pointer(into, block.entry)
+            text.say(
+                f"call void @spherejax.products(ptr {factors}, i64 {size}, i64 {n}, ptr {target}, "
+                f"i64 {block.stride}, i64 {block.n_rows}, i64 {block.n_columns})"
+            )
 
     def _room(self, aval: Any) -> Value:
         kind = kind_of(aval.dtype)
@@ -547,9 +596,12 @@ class LoopText:
         """A scalar program that is called, and adds some of its results to accumulators."""
         parameters = equation.params
         line, lanes, axes = (parameters[name] for name in ("line", "lanes", "axes"))
-        target = machine_code.called(line, lanes, axes, tuple(sorted(into)))
+        vectors = {k: self._vectors[id(into[k].memory)] for k in sorted(into) if id(into[k].memory) in self._vectors}
+        target = machine_code.called(line, lanes, axes, tuple(sorted(into)), tuple(vectors))
         avals = [out.aval for out in equation.outvars]
-        return self.call(target, values, avals, [into.get(k) for k in range(len(avals))])
+        further = [ShapedArray(vector.shape, np.float64) for vector in vectors.values()]
+        in_place = [*(into.get(k) for k in range(len(avals))), *vectors.values()]
+        return self.call(target, values, [*avals, *further], in_place)[: len(avals)]
 
     def other_loop(self, written: WrittenLoop, values: Sequence[Value], avals: Sequence[Any]) -> list[Value]:
         """A loop that has become machine code before; its large arrays stay where they are, and it changes them."""

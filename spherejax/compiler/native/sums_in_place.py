@@ -105,15 +105,35 @@ def sums_in_place(jaxpr: Any, accumulators: Sequence[tuple[int, int]]) -> SumsIn
     return SumsInPlace(passages, terms, sums, frozenset(unread))
 
 
-def accumulators_of(jaxpr: Any, pairs: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
-    """Arguments of a program that are only added to, and then results: those among some pairs of both."""
+def accumulators_of(jaxpr: Any, pairs: Sequence[tuple[int, int]], are_summed: bool = False) -> list[tuple[int, int]]:
+    """Arguments of a program that are only added to, and then results: those among some pairs of both.
+
+    Args:
+        jaxpr, pairs: the program, and pairs of arguments and results.
+        are_summed: whether something is to be added to them.
+    """
     program, taken = _Program(jaxpr), []
     for argument, result in pairs:
         # Of two that are added to each other one is the accumulator.
         is_new = all(jaxpr.outvars[result] is not jaxpr.outvars[other] for _, other in taken)
-        if is_new and program.way(argument, result) is not None:
+        way = program.way(argument, result) if is_new else None
+        if way or (way is not None and not are_summed):
             taken.append((argument, result))
     return taken
+
+
+def only_calls(jaxpr: Any, pairs: Sequence[tuple[int, int]]) -> dict[int, tuple[Any, int]]:
+    """Accumulators to which one call adds, and which nothing reads: by their result, the call and its result.
+
+    What is added to them may wait until the end of a loop.
+    """
+    program, calls = _Program(jaxpr), {}
+    for argument, result in pairs:
+        way = program.way(argument, result, any_begin=True) or []
+        terms = [passage.term for passage in way]
+        if len(terms) == 1 and terms[0] is not None and terms[0].begin is None:
+            calls[result] = jaxpr.eqns[terms[0].operation], terms[0].result
+    return calls
 
 
 SUMS = ("add", "add_any")
