@@ -16,9 +16,11 @@ from spherejax.compiler.emit.llvm_sums import (
     ADDED_ROW,
     COLUMNS,
     DOT,
+    DOTS,
     ROW,
     Columns,
     DeferredRows,
+    Dots,
     MultipleRow,
     WeightedSum,
     beside,
@@ -367,8 +369,8 @@ class FunctionText:
             self.declared[DOT] = None
             pointers = f"ptr {self._entry(dot.first)}, ptr {self._array(dot.others)}"
             total = self._added(total, self._made(f"call double @spherejax.dot({pointers}, i64 {len(dot.others)})"))
-        for columns, at in parts.columns:
-            pointer = self._made(f"getelementptr inbounds double, ptr {self._columns(columns)}, i64 {at}")
+        for whole, at in parts.together:
+            pointer = self._made(f"getelementptr inbounds double, ptr {self._together(whole)}, i64 {at}")
             total = self._added(total, self._made(f"load double, ptr {pointer}, align 8"))
         assert total is not None
         return total
@@ -376,18 +378,19 @@ class FunctionText:
     def _added(self, total: str | None, value: str) -> str:
         return value if total is None else self._made(f"fadd contract double {total}, {value}")
 
-    def _columns(self, columns: Columns) -> str:
-        """A pointer to all of their sums, which are evaluated when the first of them is asked for."""
-        if columns not in self._arrays:
-            self.declared[COLUMNS] = None
-            matrix, factors = self._entry(columns.first), self._array(columns.others)
-            sums = self._room(columns.n)
+    def _together(self, whole: Columns | Dots) -> str:
+        """A pointer to all of these sums, which are evaluated when the first of them is asked for."""
+        if whole not in self._arrays:
+            name, texts = ("columns", [COLUMNS]) if isinstance(whole, Columns) else ("dots", [DOT, DOTS])
+            self.declared.update(dict.fromkeys(texts))
+            matrix, factors = self._entry(whole.first), self._array(whole.others)
+            sums = self._room(whole.n)
             self.lines.append(
-                f"  call void @spherejax.columns(ptr {matrix}, i64 {columns.stride}, ptr {factors}, "
-                f"i64 {len(columns.others)}, ptr {sums}, i64 {columns.n})"
+                f"  call void @spherejax.{name}(ptr {matrix}, i64 {whole.stride}, ptr {factors}, "
+                f"i64 {len(whole.others)}, ptr {sums}, i64 {whole.n})"
             )
-            self._arrays[columns] = sums
-        return self._arrays[columns]
+            self._arrays[whole] = sums
+        return self._arrays[whole]
 
     def _write_row(self, row: MultipleRow, result: int, entry: int) -> None:
         if (rows := self.deferred.get(result)) is not None:
