@@ -1,11 +1,12 @@
 """Gradients by many numbers: what they cost in values, and what they take to compile.
 
-    python benchmarks/many_numbers.py                # five minutes
-    python benchmarks/many_numbers.py --one-core     # three minutes: the networks, on one core
+    python benchmarks/many_numbers.py                # six minutes
+    python benchmarks/many_numbers.py --one-core     # four minutes: the networks, on one core
 
 A network as a force on a body, 3 s, 31 samples, rtol 1e-7, by all of its weights, and along one direction in them; the
 four-bar, dry and lubricated, 0.2 s, by all numbers of its scene but the exponent of its contact, and dry by the weights
-of a network in its friction law; of the dry one by its scene eight gradients by `jax.vmap`, too. Each in a process of
+of a network in its friction law; of the dry one by its scene eight gradients by `jax.vmap`, too, and of the networks the
+mean over eight starts by `jax.vmap` and its gradient, as a batch of a training has them. Each in a process of
 its own, without a cache: processor time of the first call, imports not counted, and the shortest of the calls after it,
 of half a second and 15 calls at least. On two cores XLA gives operations around the loops of a run to threads of its
 own, which takes up to a twentieth of a millisecond of a call; on one core it does not.
@@ -35,10 +36,15 @@ class Learned(sj.forces.AbstractForce):
 
 def by_network(width):
     numbers = sj.Network(eqx.nn.MLP(2, "scalar", width, 2, activation=jnp.tanh, key=jax.random.key(1)))
-    def loss(network):
-        ball = sj.Body(1.0, (1, 1, 1), position=(0.5, 0, 0))
+    def square(network, place):
+        ball = sj.Body(1.0, (1, 1, 1), position=jnp.stack([place, 0 * place, 0 * place]))
         scene = sj.Scene({{"ball": ball}}, forces={{"law": Learned(network)}}, gravity=(0, 0, 0))
         return jnp.mean(sj.simulate(scene, ts, rtol=1e-7).position("ball")[:, 0] ** 2)
+    def loss(network):
+        return square(network, 0.5)
+    def of_eight(network):
+        return jnp.mean(jax.vmap(square, (None, 0))(network, jnp.linspace(0.4, 0.6, 8)))
+    loss.of_eight = of_eight
     return loss, numbers
 
 class LearnedFriction(sj.laws.AbstractStaticFriction):
@@ -75,6 +81,8 @@ if "{way}" == "rows":
     sensitivities.MANY = 1_000_000
 ways = dict(value=loss, gradient=jax.grad(loss), direction=lambda at: jax.jvp(loss, (at,), (ones,))[1])
 ways["rows"] = ways["gradient"]
+if hasattr(loss, "of_eight"):
+    ways |= {{"eight runs": loss.of_eight, "gradient of eight runs": jax.grad(loss.of_eight)}}
 if "{way}" == "eight gradients":
     numbers = jax.tree.map(lambda leaf: jnp.stack([leaf * (1 + 1e-6 * i) for i in range(8)]), numbers)
     ways["eight gradients"] = jax.vmap(ways["gradient"])
@@ -99,7 +107,13 @@ CASES = {
     "lubricated four-bar, its scene": "by_scene(sj.Lubricated(clearance=1e-4, viscosity=0.4))",
 }
 
-MORE_WAYS = {"lubricated four-bar, its scene": ["rows"], "dry four-bar, its scene": ["eight gradients"]}
+OF_EIGHT = ["eight runs", "gradient of eight runs"]
+
+MORE_WAYS = {
+    "lubricated four-bar, its scene": ["rows"],
+    "dry four-bar, its scene": ["eight gradients"],
+    **{case: OF_EIGHT for case in CASES if "in a force" in case},
+}
 """What else is measured of a case; `rows`: with a row for each number in place of the way back."""
 
 

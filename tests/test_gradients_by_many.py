@@ -288,7 +288,7 @@ def test_the_steps_back_are_machine_code_as_a_whole(model, caplog):
     pullback.pulled_back.clear()
     with caplog.at_level(logging.INFO, logger="spherejax.compiler"):
         text = jax.jit(jax.grad(height)).lower(jax.tree.map(jnp.asarray, numbers)).as_text()
-    assert "spherejaxloop_" in text
+    assert "spherejaxprogram_" in text
     assert "left to XLA" not in caplog.text
 
 

@@ -1,11 +1,16 @@
 """`jax.vmap` of runs is a queue of lanes: alone, nested, differentiated, under jit; and equals a loop."""
 
+import controlling
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import spherejax as sj
+from spherejax.model.system import compile_scene, flatten_system
+from spherejax.motion.equations.dynamics import state_rate
+from spherejax.motion.equations.programs import program_for
 from spherejax.motion.integration.lanes.landing import _bend
 from spherejax.motion.integration.lanes.stages import own_time
 from spherejax.motion.integration.status import Status
@@ -152,3 +157,35 @@ def test_time_is_bent_by_the_root_of_the_time_since_an_onset():
     assert 1 + 3 * ((1 - bend) * x + bend * x * x) == pytest.approx((1 + x) ** 2, rel=1e-15)
     assert float(_bend(jnp.array(0.0), jnp.array(2.0))) == 1.0
     assert float(_bend(jnp.array(jnp.inf), jnp.array(jnp.inf))) == 0.0
+
+
+def drawn(width, place):
+    """A ball that the force of a network moves."""
+    network = eqx.nn.MLP(2, "scalar", width, 2, activation=jnp.tanh, key=jax.random.key(1))
+    force = controlling.NeuralForce(sj.Network(network))
+    ball = sj.Body(1.0, (1.0, 1.0, 1.0), position=jnp.stack([place, 0 * place, 0 * place]))
+    return sj.Scene({"ball": ball}, forces={"law": force}, gravity=(0.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize(("width", "alone"), [(8, False), (32, True)])
+def test_programs_that_are_long_sums(width, alone):
+    structure, _ = flatten_system(compile_scene(drawn(width, jnp.asarray(0.5))).system)
+    assert program_for(state_rate, structure).scalar.is_of_long_sums is alone
+
+
+def test_runs_of_a_large_network_are_made_one_by_one():
+    """In vectors over runs its sums would take longer than one run's, which are loops over vectors."""
+    places, ts = jnp.array([0.3, 0.5, 0.9]), jnp.linspace(0.0, 3.0, 7)
+
+    def of(place):
+        return sj.simulate(drawn(32, place), ts, rtol=1e-8)
+
+    def both(place):
+        return jax.value_and_grad(lambda place: of(place).position("ball")[-1, 0])(place)
+
+    of_one, of_all = jax.jit(of), jax.jit(jax.vmap(of))(places)
+    singles = [of_one(place) for place in places]
+    np.testing.assert_allclose(of_all.ys, np.stack([one.ys for one in singles]), rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(of_all.stats.n_steps, [one.stats.n_steps for one in singles])
+    found, expected = jax.jit(jax.vmap(both))(places), [jax.jit(both)(place) for place in places]
+    np.testing.assert_allclose(found, np.transpose(expected), rtol=1e-9)

@@ -20,12 +20,16 @@ from jax.interpreters.partial_eval import dce_jaxpr
 
 from spherejax.compiler.emit.c import PRELUDE, c_functions
 from spherejax.compiler.emit.eager import EagerEvaluator
+from spherejax.compiler.emit.llvm import FunctionText
 from spherejax.compiler.graph import Graph, TooManyOperations
 from spherejax.compiler.hooks import attached
 from spherejax.compiler.native import compile as machine_code
 from spherejax.compiler.operations import FLOAT
 from spherejax.compiler.primitive import ActiveInputs, StraightLine, grouped, is_called
 from spherejax.compiler.trace import Interpreter
+
+MOST_OF_IT = 0.8
+"""Share of a program's operations that are long sums, from which on runs are made one by one."""
 
 
 class ScalarProgram:
@@ -161,6 +165,20 @@ class ScalarProgram:
             ahead = tuple(jnp.stack([x for x in ahead if x.dtype == kind]) for kind in kinds)
             in_vectors = True
         return self._line("rest", in_vectors), ahead
+
+    @cached_property
+    def is_of_long_sums(self) -> bool:
+        """Whether it is for the most part long sums of products, as a network of hundreds of weights.
+
+        Machine code evaluates those of one run in loops over vectors, about six of their operations in the time of one.
+        Eight runs in vectors take three times as long as one, so that they gain nothing where four in five operations
+        are such.
+        """
+        if 2 * self.operations["mul"] < MOST_OF_IT * self.n_operations:
+            return False
+        line = self.line_called()
+        loops = FunctionText(line, (), (0,) * (len(line.shapes) + len(line.residuals))).loops
+        return loops is not None and 2 * loops.n_products >= MOST_OF_IT * self.n_operations
 
     def line_called(self) -> StraightLine:
         """All of it."""

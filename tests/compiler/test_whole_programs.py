@@ -98,6 +98,25 @@ def test_room_is_changed_in_place_by_loops_behind_each_other():
     assert "copy(" not in str(jax.jit(made).lower(Y).compile().as_text())
 
 
+def test_room_that_nobody_reads_behind_is_handed_on_by_mapped_runs():
+    def function(y):
+        def turn(state):
+            i, rows, total = state
+            rows = rows.at[i].set(i * y)
+            return i + 1, rows, total + rows[i]
+
+        begin = jnp.asarray(0), uninitialized((400, y.size)), jnp.zeros_like(y)
+        return jax.lax.while_loop(lambda s: s[0] < 200, turn, begin)[2]
+
+    made = one_call(function)
+    assert operations(made, Y) == ["uninitialized", LOOP]
+    several = jnp.stack([Y, -Y, 3 * Y])
+    expected = sum(range(200)) * several
+    np.testing.assert_allclose(jax.jit(jax.vmap(made))(several), expected, rtol=1e-13)
+    program = str(jax.jit(jax.vmap(made)).lower(several).compile().as_text())
+    assert not [line for line in program.splitlines() if "copy(" in line and "f64[400,3]" in line]
+
+
 def test_an_array_that_is_read_as_a_whole_is_none_that_stays():
     def function(y):
         def turn(state):

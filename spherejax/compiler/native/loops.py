@@ -97,11 +97,13 @@ class WrittenLoop(NamedTuple):
         text: of the function.
         called: names of other machine code that it calls.
         in_place: arguments that XLA may give away to be changed in place, each with the result that it becomes.
+        rooms: those among them whose numbers nobody reads, neither before nor behind.
     """
 
     text: str
     called: tuple[str, ...]
     in_place: tuple[tuple[int, int], ...]
+    rooms: tuple[int, ...] = ()
 
 
 PREFIXES = "spherejaxloop_", "spherejaxloops_", "spherejaxprogram_"
@@ -141,9 +143,27 @@ def _depth(written: WrittenLoop) -> int:
     return max(depths, default=0)
 
 
-def _batched(arguments: Sequence, dims: Sequence, **how: Any) -> tuple[Sequence, Sequence]:
+def _batched(arguments: Sequence, dims: Sequence, *, written: WrittenLoop, results: tuple) -> tuple[Sequence, Sequence]:
     # The text is that of a single run, and was written before anybody mapped it.
-    return by_a_loop(partial(_loop.bind, **how), arguments, dims)
+    call = partial(_loop.bind, written=written, results=results)
+    passed_on = {a: r for a, r in written.in_place if a in written.rooms and dims[a] is None}
+    if not passed_on:
+        return by_a_loop(call, arguments, dims)
+
+    # Each run is given the room of the one before: a loop of XLA's would copy what all are given.
+    def one(rooms: list, parts: Sequence) -> tuple[list, list]:
+        of_one = [x if part is None else part for x, part in zip(arguments, parts, strict=True)]
+        for a, room in zip(passed_on, rooms, strict=True):
+            of_one[a] = room
+        made = call(*of_one)
+        others = [x for r, x in enumerate(made) if r not in passed_on.values()]
+        return [made[r] for r in passed_on.values()], others
+
+    moved = [None if dim is None else jax.numpy.moveaxis(x, dim, 0) for x, dim in zip(arguments, dims, strict=True)]
+    rooms, others = jax.lax.scan(one, [arguments[a] for a in passed_on], moved)
+    left, right = iter(others), dict(zip(passed_on.values(), rooms, strict=True))
+    is_room = [r in right for r in range(len(results))]
+    return [right[r] if is_it else next(left) for r, is_it in enumerate(is_room)], [None if i else 0 for i in is_room]
 
 
 batching.primitive_batchers[_loop] = _batched

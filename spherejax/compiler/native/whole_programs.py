@@ -101,7 +101,10 @@ def _called(jaxpr: Any, constants: Sequence[Any], values: Sequence[Any]) -> list
 
     def written(limits: InPlace) -> tuple[WrittenLoop, Sequence[Any]]:
         aliases = _aliases_of(equations, invars, jaxpr.outvars)
-        return WholeText(invars, equations, aliases, known, limits).whole(), [v.aval for v in aliases.results]
+        text = WholeText(invars, equations, aliases, known, limits).whole()
+        first = len(invars) - len(room)
+        unread = tuple(a for a, r in aliases.own.items() if a >= first and r >= len(jaxpr.outvars))
+        return text._replace(rooms=unread), [v.aval for v in aliases.results]
 
     return bound(arrays, *within_limits(written))[: len(jaxpr.outvars)]
 

@@ -75,6 +75,15 @@ def native_run(function: Callable[[], Any], is_native: bool, joins: bool = True)
     return native_code(is_native, joins)(function)()
 
 
+def one_by_one(program: Any) -> bool:
+    """Whether several runs are made one after the other sooner than side by side.
+
+    Args:
+        program: the scalar program of their right-hand side.
+    """
+    return native_code.is_available() and program.is_of_long_sums
+
+
 def in_one_call(function: Callable[[], Any], is_native: bool) -> Any:
     """What a function returns that holds a run and what is around its loops: by one call, where that can be.
 

@@ -18,7 +18,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from spherejax.foundations.lanes import in_lanes, with_rows_at
 from spherejax.motion.integration.audit import Watch
-from spherejax.motion.integration.compiling import native_run
+from spherejax.motion.integration.compiling import native_run, one_by_one
 from spherejax.motion.integration.lanes.account import AccountLayout, written
 from spherejax.motion.integration.lanes.control import BlockSteps, Repeating, clipped, told_by
 from spherejax.motion.integration.lanes.first_step import N_LOOKS, InitialStepProbe
@@ -79,10 +79,29 @@ def steps_in_lanes(
     return outcome, log
 
 
-def _worked_off(problem: LaneProblem, parameters, y0, *others) -> tuple[LaneOutcome, StepLog | None]:
+def _worked_off(
+    problem: LaneProblem, parameters, y0, ts, may_run, status, block: Block, *others
+) -> tuple[LaneOutcome, StepLog | None]:
     # Array code in machine code is for one run: of many, XLA makes vectors over runs.
     is_native = problem.in_machine_code and (problem.program is not None or len(y0) == 1)
-    return native_run(lambda: Queue(problem, parameters, y0, *others).run_queue(), is_native)
+    if is_native and len(y0) > 1 and not others and one_by_one(problem.program):
+        return _one_by_one(problem, ts, (parameters, y0, may_run, status)), None
+    return native_run(
+        lambda: Queue(problem, parameters, y0, ts, may_run, status, block, *others).run_queue(), is_native
+    )
+
+
+def _one_by_one(problem: LaneProblem, ts, jobs: Any) -> LaneOutcome:
+    """A queue of runs, each in a block of one lane."""
+
+    def made(job):
+        parameters, y0, may_run, status = jax.tree.map(lambda leaf: leaf[None], job)
+        run = Queue(problem, parameters, y0, ts, may_run, status, Block()).run_queue
+        outcome, _ = native_run(run, True)
+        return jax.tree.map(lambda leaf: leaf[0], outcome._replace(n_lane_steps=outcome.n_lane_steps[None]))
+
+    outcome = jax.lax.map(made, jobs)
+    return outcome._replace(n_lane_steps=jnp.sum(outcome.n_lane_steps))
 
 
 class Queue:
