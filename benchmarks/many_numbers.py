@@ -3,13 +3,12 @@
     python benchmarks/many_numbers.py                # six minutes
     python benchmarks/many_numbers.py --one-core     # four minutes: the networks, on one core
 
-A network as a force on a body, 3 s, 31 samples, rtol 1e-7, by all of its weights, and along one direction in them; the
-four-bar, dry and lubricated, 0.2 s, by all numbers of its scene but the exponent of its contact, and dry by the weights
-of a network in its friction law; of the dry one by its scene eight gradients by `jax.vmap`, too, and of the networks the
-mean over eight starts by `jax.vmap` and its gradient, as a batch of a training has them. Each in a process of
-its own, without a cache: processor time of the first call, imports not counted, and the shortest of the calls after it,
-of half a second and 15 calls at least. On two cores XLA gives operations around the loops of a run to threads of its
-own, which takes up to a twentieth of a millisecond of a call; on one core it does not.
+A network as a force on a body, 3 s, 31 samples, rtol 1e-7, by all of its weights, and along one direction in them, and
+the mean over eight starts by `jax.vmap` and its gradient, as a training takes them; the four-bar, dry and lubricated,
+0.2 s, by all numbers of its scene but the exponent of its contact, and dry by the weights of a network in its friction
+law; of the dry one by its scene eight gradients by `jax.vmap`, too. Each in a process of its own, without a cache:
+processor time of the first call, imports not counted, and the shortest of the calls after it, of half a second and 15
+calls at least.
 """
 
 import argparse
