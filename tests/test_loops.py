@@ -418,12 +418,12 @@ def test_loops_of_runs_are_written_and_move_as_before(name, monkeypatch):
 
 
 @pytest.mark.usefixtures("loops_call")
-def test_a_loop_under_vmap_is_made_for_one_after_the_other():
+def test_a_loop_under_vmap_is_made_for_each():
     y, weights = jnp.array([0.3, -1.2, 2.0]), jnp.array([[0.4, 1.0], [-0.8, 2.0]])
     counts = jnp.array([0, 3, 1])
     made = jax.vmap(lambda n: loop_fusion.fuse_loops(swapping)(y, weights, n))
     with machine_code.native_code():
-        assert "= loop_in_machine_code[" in str(jax.make_jaxpr(made)(counts))
+        assert "= mapped_in_machine_code[" in str(jax.make_jaxpr(made)(counts))
         found = jax.jit(made)(counts)
     assert_same(found, jax.vmap(lambda n: swapping(y, weights, n))(counts))
 

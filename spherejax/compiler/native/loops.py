@@ -9,7 +9,6 @@ What has no rule is left to XLA, as a whole loop (`loop_fusion`).
 """
 
 from collections.abc import Mapping, Sequence
-from functools import partial
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -18,7 +17,7 @@ import jax.ffi
 import numpy as np
 from jax.core import ShapedArray
 from jax.extend import core as jex
-from jax.interpreters import batching, mlir
+from jax.interpreters import mlir
 
 from spherejax.compiler import private
 from spherejax.compiler.array_operations import ARRAY_OPERATIONS, written_by_entry
@@ -41,7 +40,6 @@ from spherejax.compiler.emit.llvm_arrays import (
     within_limits,
 )
 from spherejax.compiler.emit.llvm_sums import PRODUCTS, DeferredRows
-from spherejax.compiler.lanes import by_a_loop
 from spherejax.compiler.native import compile as machine_code
 from spherejax.compiler.native import ffi_abi
 from spherejax.compiler.native.sums_in_place import NOTHING as NO_SUMS
@@ -52,8 +50,8 @@ from spherejax.compiler.primitive import is_called
 LOOP = "loop_in_machine_code"
 """The name of the operation."""
 
-_loop = jex.Primitive(LOOP)
-_loop.multiple_results = True
+loop_primitive = jex.Primitive(LOOP)
+loop_primitive.multiple_results = True
 
 
 def looped(parameters: Any, values: Sequence[Any]) -> list[Any]:
@@ -76,7 +74,7 @@ def looped(parameters: Any, values: Sequence[Any]) -> list[Any]:
 
 def bound(arrays: Sequence[Any], written: "WrittenLoop", results: Sequence[Any]) -> list[Any]:
     """The results of a function that is written, from arrays."""
-    return _loop.bind(*arrays, written=written, results=tuple(results))
+    return loop_primitive.bind(*arrays, written=written, results=tuple(results))
 
 
 def _large_for(parameters: Any, results: Sequence[Any]) -> int:
@@ -120,19 +118,20 @@ of a chain (54,000), whose loop XLA compiles in 1.2 s and which then runs as fas
 calls. That of a dry four-bar (21,000) takes 0.8 s, and its run 28 ms in place of 40."""
 
 
-@_loop.def_abstract_eval
+@loop_primitive.def_abstract_eval
 def _shapes(*_: Any, results: tuple, **__: Any) -> list:
     return list(results)
 
 
 def _lowered(context: Any, *arguments: Any, written: WrittenLoop, results: tuple) -> Sequence:
     del results
-    name = _target_of(written)
+    name = target_of_loop(written)
     machine_code.note_ffi_targets([*written.called, name])
     return jax.ffi.ffi_lowering(name, operand_output_aliases=dict(written.in_place))(context, *arguments)
 
 
-def _target_of(written: WrittenLoop) -> str:
+def target_of_loop(written: WrittenLoop) -> str:
+    """The target of a call."""
     prefix = PREFIXES[_depth(written)]
     return machine_code.target_of(written.text, is_wide=False, is_optimised=True, prefix=prefix)
 
@@ -143,31 +142,7 @@ def _depth(written: WrittenLoop) -> int:
     return max(depths, default=0)
 
 
-def _batched(arguments: Sequence, dims: Sequence, *, written: WrittenLoop, results: tuple) -> tuple[Sequence, Sequence]:
-    # The text is that of a single run, and was written before anybody mapped it.
-    call = partial(_loop.bind, written=written, results=results)
-    passed_on = {a: r for a, r in written.in_place if a in written.rooms and dims[a] is None}
-    if not passed_on:
-        return by_a_loop(call, arguments, dims)
-
-    # Each run is given the room of the one before: a loop of XLA's would copy what all are given.
-    def one(rooms: list, parts: Sequence) -> tuple[list, list]:
-        of_one = [x if part is None else part for x, part in zip(arguments, parts, strict=True)]
-        for a, room in zip(passed_on, rooms, strict=True):
-            of_one[a] = room
-        made = call(*of_one)
-        others = [x for r, x in enumerate(made) if r not in passed_on.values()]
-        return [made[r] for r in passed_on.values()], others
-
-    moved = [None if dim is None else jax.numpy.moveaxis(x, dim, 0) for x, dim in zip(arguments, dims, strict=True)]
-    rooms, others = jax.lax.scan(one, [arguments[a] for a in passed_on], moved)
-    left, right = iter(others), dict(zip(passed_on.values(), rooms, strict=True))
-    is_room = [r in right for r in range(len(results))]
-    return [right[r] if is_it else next(left) for r, is_it in enumerate(is_room)], [None if i else 0 for i in is_room]
-
-
-batching.primitive_batchers[_loop] = _batched
-mlir.register_lowering(_loop, _lowered, platform="cpu")
+mlir.register_lowering(loop_primitive, _lowered, platform="cpu")
 
 
 class LoopText:
@@ -637,7 +612,7 @@ class LoopText:
             if value.memory is None or not value.memory.is_own:
                 raise ChangedInPlaceError("a loop that changes an array of somebody else")
             results[result], given[argument] = value, value
-        return self.call(_target_of(written), given, avals, results)
+        return self.call(target_of_loop(written), given, avals, results)
 
     def call(
         self, name: str, values: Sequence[Value], avals: Sequence[Any], in_place: Sequence[Value | None] | None = None

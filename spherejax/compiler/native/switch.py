@@ -5,6 +5,7 @@ from contextlib import ExitStack
 from typing import Any
 
 from spherejax.compiler.native import compile as machine_code
+from spherejax.compiler.native import mapped_programs as mapped_programs  # what `jax.vmap` makes of loops
 from spherejax.compiler.native.loop_fusion import fuse_loops, whole_loops
 from spherejax.compiler.native.uninitialized import uninitialized
 from spherejax.compiler.native.whole_programs import as_one_call

@@ -92,7 +92,7 @@ def _worked_off(
 
 
 def _one_by_one(problem: LaneProblem, ts, jobs: Any) -> LaneOutcome:
-    """A queue of runs, each in a block of one lane."""
+    """A queue of runs, each in a block of one lane: machine code makes them on all processors."""
 
     def made(job):
         parameters, y0, may_run, status = jax.tree.map(lambda leaf: leaf[None], job)
@@ -100,7 +100,7 @@ def _one_by_one(problem: LaneProblem, ts, jobs: Any) -> LaneOutcome:
         outcome, _ = native_run(run, True)
         return jax.tree.map(lambda leaf: leaf[0], outcome._replace(n_lane_steps=outcome.n_lane_steps[None]))
 
-    outcome = jax.lax.map(made, jobs)
+    outcome = jax.vmap(made)(jobs)
     return outcome._replace(n_lane_steps=jnp.sum(outcome.n_lane_steps))
 
 
