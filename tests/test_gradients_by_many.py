@@ -136,6 +136,13 @@ def test_many_runs(order):
     np.testing.assert_allclose(slopes, np.broadcast_to(exact, several.shape), rtol=1e-6, atol=1e-10)
 
 
+def test_gradients_of_mapped_runs_are_made_by_one_call_on_all_processors():
+    several = jnp.stack([STRENGTHS, -0.3 * STRENGTHS])
+    many, alone = jax.jit(jax.vmap(jax.grad(wanted))), jax.jit(jax.grad(wanted))
+    assert "spherejaxruns_" in many.lower(several).as_text()
+    np.testing.assert_allclose(many(several), [alone(one) for one in several], rtol=1e-9)
+
+
 def test_in_reverse_mode_a_run_is_made_once_and_keeps_its_steps():
     """Where one program holds both: the value is that of the run with the sensitivity that the way back needs."""
     value, gradient = jax.jit(jax.value_and_grad(wanted))(STRENGTHS)

@@ -8,7 +8,7 @@ from spherejax.compiler.native import compile as machine_code
 from spherejax.compiler.native import mapped_programs as mapped_programs  # what `jax.vmap` makes of loops
 from spherejax.compiler.native.loop_fusion import fuse_loops, whole_loops
 from spherejax.compiler.native.uninitialized import uninitialized
-from spherejax.compiler.native.whole_programs import as_one_call
+from spherejax.compiler.native.whole_programs import as_one_call, leaves_loops
 
 
 class native_code:  # noqa: N801 - a context manager, as those of contextlib
@@ -58,4 +58,5 @@ class native_code:  # noqa: N801 - a context manager, as those of contextlib
     record_ffi_targets = staticmethod(machine_code.record_ffi_targets)
     register_object_code = staticmethod(machine_code.register_object_code)
     note_ffi_targets = staticmethod(machine_code.note_ffi_targets)
+    leaves_loops = staticmethod(leaves_loops)
     uninitialized = staticmethod(uninitialized)

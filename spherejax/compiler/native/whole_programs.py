@@ -9,7 +9,7 @@ What has no rule is left to XLA, around the loops.
 """
 
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import wraps
 from typing import Any, NamedTuple
 
@@ -64,6 +64,19 @@ def as_one_call(function: Callable) -> Callable:
         return jax.tree.unflatten(jax.tree.structure(shapes), results)
 
     return made
+
+
+def leaves_loops(jaxpr: Any) -> bool:
+    """Whether a program has loops of XLA's that end at any time, or no machine code in place of them."""
+    names = [*_names(jaxpr)]
+    return LOOP not in names or "while" in names
+
+
+def _names(jaxpr: Any) -> Iterator[str]:
+    for equation in jaxpr.eqns:
+        yield equation.primitive.name
+        for inner in jex.jaxprs_in_params(equation.params):
+            yield from _names(inner)
 
 
 class _Aliases(NamedTuple):

@@ -19,6 +19,8 @@ from jax.core import ShapedArray
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
+from spherejax.motion.integration.compiling import for_each
+
 Arrays = Sequence[Any]
 
 
@@ -146,7 +148,7 @@ def _side_by_side(function: Callable, axes: list, residuals: Arrays, x: Arrays) 
 
 
 def _one_by_one(function: Callable, axes: list, residuals: Arrays, x: Arrays) -> Arrays:
-    """Mapped by a loop: side by side, loops of different lengths would wait for the longest in every turn."""
+    """Mapped so that loops of different lengths do not wait for each other."""
     own = [value for value, axis in zip(residuals, axes, strict=True) if axis is not None]
 
     def one(mapped):
@@ -156,7 +158,7 @@ def _one_by_one(function: Callable, axes: list, residuals: Arrays, x: Arrays) ->
             function([value if axis is None else next(own) for value, axis in zip(residuals, axes, strict=True)], x)
         )
 
-    return jax.lax.map(one, (own, list(x)))
+    return for_each(one, (own, list(x)))
 
 
 _linear_operation = Primitive("linear_operation")

@@ -4,7 +4,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
+import jax
 from jax import Array
+from jax.extend import core as jex
 
 from spherejax.compiler import hooks, native_code
 from spherejax.motion.equations.dynamics import state_rate
@@ -92,6 +94,19 @@ def in_one_call(function: Callable[[], Any], is_native: bool) -> Any:
         is_native: as of `native_run`.
     """
     return native_code(is_native, is_one_call=True)(function)()
+
+
+def for_each(function: Callable, mapped: Any) -> Any:
+    """A function of each entry of arrays, which may have loops of any length.
+
+    As machine code the entries are computed on all processors, otherwise one after the other: side by side, loops of
+    XLA's would wait for the longest in every turn.
+    """
+    closed, shapes = jax.make_jaxpr(function, return_shape=True)(jax.tree.map(lambda leaf: leaf[0], mapped))
+    if native_code.leaves_loops(closed.jaxpr):
+        return jax.lax.map(function, mapped)
+    results = jax.vmap(jex.jaxpr_as_fun(closed))(*jax.tree.leaves(mapped))
+    return jax.tree.unflatten(jax.tree.structure(shapes), results)
 
 
 def uninitialized(shape: tuple[int, ...]) -> Array:
