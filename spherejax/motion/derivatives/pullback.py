@@ -13,7 +13,8 @@ The run that keeps them carries one sensitivity along, by a mixture of all numbe
 state's: its steps are then short enough for derivatives, behind contact onsets as well (`sensitivity_rows`). Where JAX
 asks for a value and its gradient in one program, that run gives the value as well (`run_that_keeps_steps`), within the
 same tolerances. Elsewhere (outside of `jax.jit`, and where `jax.jit` or `jax.vmap` stands between) it is a second run,
-made for the way back.
+made for the way back. The run and the way back are one call of machine code each, where all in them has a rule; mapped,
+such calls are made on all processors.
 
 A compiled program has room for a fixed number of steps. A longer run is cut into stretches: the run goes to its end and
 notes the state at which each stretch begins; then each stretch, from the last to the first, is made once more and gone
