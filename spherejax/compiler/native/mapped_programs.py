@@ -8,7 +8,6 @@ Threads are those of POSIX. Elsewhere, and with one processor, the function make
 """
 
 import os
-import sys
 from collections.abc import Sequence
 from functools import partial
 from typing import Any
@@ -41,7 +40,7 @@ def _n_processors() -> int:
     """Processors that this process may use."""
     if os.name != "posix":
         return 1
-    return len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _of_many(arguments: Sequence, dims: Sequence, *, written: WrittenLoop, results: tuple) -> tuple[Sequence, Sequence]:
