@@ -1,7 +1,7 @@
 """Gradients by many numbers: what they cost in values, and what they take to compile.
 
-    python benchmarks/many_numbers.py                # six minutes
-    python benchmarks/many_numbers.py --one-core     # four minutes: the networks, on one core
+    python benchmarks/many_numbers.py                # seven minutes
+    python benchmarks/many_numbers.py --one-core     # three minutes: the networks, on one core
 
 A network as a force on a body, 3 s, 31 samples, rtol 1e-7, by all of its weights, and along one direction in them, and
 the mean over eight starts by `jax.vmap` and its gradient, as a training takes them; the four-bar, dry and lubricated,

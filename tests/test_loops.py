@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from jax.extend import core as jex
+from native_loops import in_machine_code
 
 import spherejax as sj
 from spherejax.compiler.emit.llvm_arrays import LARGE, NotWrittenError
@@ -37,29 +37,6 @@ def once(function, *examples):
         ]
 
     return in_machine_code(turned, *examples)
-
-
-def in_machine_code(function, *examples):
-    """The results of a function whose loop is written; none of XLA's own."""
-    closed = jax.make_jaxpr(function)(*examples)
-
-    def evaluated(*values):
-        known = dict(zip([*closed.jaxpr.constvars, *closed.jaxpr.invars], [*closed.consts, *values], strict=True))
-
-        def read(atom):
-            return atom.val if isinstance(atom, jex.Literal) else known[atom]
-
-        for equation in closed.jaxpr.eqns:
-            given = [read(atom) for atom in equation.invars]
-            if equation.primitive.name == "while":
-                found = loops.looped(equation.params, given)
-            else:
-                found = equation.primitive.bind(*given, **equation.params)
-                found = found if equation.primitive.multiple_results else [found]
-            known.update(zip(equation.outvars, found, strict=True))
-        return [read(atom) for atom in closed.jaxpr.outvars]
-
-    return jax.jit(evaluated)(*examples)
 
 
 def assert_same(found, expected):

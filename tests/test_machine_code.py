@@ -731,8 +731,8 @@ def test_loops_around_loops_are_left_to_xla_beyond_three(small_ones_too, n_more,
     with machine_code.native_code():
         whole = whole_loops(within(FIELD, whole_loops, n_more))
         assert ("while" in str(jax.make_jaxpr(whole)())) is is_left
-        found = jax.jit(whole)()
-    np.testing.assert_allclose(found, expected, rtol=1e-13, atol=1e-15)
+        results = jax.jit(whole)()
+    np.testing.assert_allclose(results, expected, rtol=1e-13, atol=1e-15)
 
 
 @pytest.mark.parametrize("counts", [[2], [3, 1, 2], [0, 0]])

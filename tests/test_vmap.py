@@ -187,5 +187,5 @@ def test_runs_of_a_large_network_are_made_one_by_one():
     singles = [of_one(place) for place in places]
     np.testing.assert_allclose(of_all.ys, np.stack([one.ys for one in singles]), rtol=0, atol=1e-12)
     np.testing.assert_array_equal(of_all.stats.n_steps, [one.stats.n_steps for one in singles])
-    found, expected = jax.jit(jax.vmap(both))(places), [jax.jit(both)(place) for place in places]
-    np.testing.assert_allclose(found, np.transpose(expected), rtol=1e-9)
+    results, expected = jax.jit(jax.vmap(both))(places), [jax.jit(both)(place) for place in places]
+    np.testing.assert_allclose(results, np.transpose(expected), rtol=1e-9)

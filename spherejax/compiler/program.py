@@ -29,7 +29,7 @@ from spherejax.compiler.primitive import ActiveInputs, StraightLine, grouped, is
 from spherejax.compiler.trace import Interpreter
 
 MOST_OF_IT = 0.8
-"""Share of a program's operations that are long sums, from which on runs are made one by one."""
+"""The share of long sums in the operations of a program from which on its runs are made one by one."""
 
 
 class ScalarProgram:
@@ -170,9 +170,9 @@ class ScalarProgram:
     def is_of_long_sums(self) -> bool:
         """Whether it is for the most part long sums of products, as a network of hundreds of weights.
 
-        Machine code evaluates those of one run in loops over vectors, about six of their operations in the time of one.
-        Eight runs in vectors take three times as long as one, so that they gain nothing where four in five operations
-        are such.
+        Machine code evaluates the sums of one run in loops over vectors. Eight runs by 4,417 weights take a quarter of
+        the time one by one that they take with a number of each in every vector, and by 1,185 weights as long. By 105
+        weights, whose sums are too short for such loops, they take twice the time.
         """
         if 2 * self.operations["mul"] < MOST_OF_IT * self.n_operations:
             return False

@@ -32,14 +32,14 @@ def walk(y, n, shared):
     """A loop that writes rows, and takes as long as it is told."""
 
     def turn(state):
-        i, y, rows, found = state
+        i, y, rows, results = state
         y = 0.5 * y + shared[jnp.minimum(i, 39)]
         rows = rows.at[i].set(y)
-        return i + 1, y, rows, found | (rows[i, 0] > 1.0)
+        return i + 1, y, rows, results | (rows[i, 0] > 1.0)
 
     begin = jnp.asarray(0), y, uninitialized((400, 3)), jnp.asarray(False)
-    _, y, rows, found = jax.lax.while_loop(lambda s: s[0] < n, turn, begin)
-    return jnp.sin(y), rows[n - 1], found, n + 1, jnp.zeros((0, 3))
+    _, y, rows, results = jax.lax.while_loop(lambda s: s[0] < n, turn, begin)
+    return jnp.sin(y), rows[n - 1], results, n + 1, jnp.zeros((0, 3))
 
 
 def one_call(*arguments):
@@ -50,8 +50,8 @@ def operations(function, *arguments):
     return [e.primitive.name for e in jax.make_jaxpr(function)(*arguments).jaxpr.eqns]
 
 
-def assert_same(found, expected):
-    for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
+def assert_same(results, expected):
+    for one, other in zip(jax.tree.leaves(results), jax.tree.leaves(expected), strict=True):
         assert one.dtype == other.dtype
         np.testing.assert_array_equal(one, other)
 
@@ -64,22 +64,22 @@ def test_each_of_many_is_what_it_is_alone(axes):
     shared = SHARED if axes[2] is None else jnp.stack([SHARED * k for k in range(N)], 2)
     many = jax.vmap(one_call, axes)
     assert "mapped_in_machine_code" in operations(many, y, n, shared)
-    found = jax.jit(many)(y, n, shared)
+    results = jax.jit(many)(y, n, shared)
 
     def part(array, axis, i):
         return array if axis is None else jnp.take(array, i, axis)
 
     alone = jax.jit(one_call)
     singles = [alone(part(y, axes[0], i), part(n, axes[1], i), part(shared, axes[2], i)) for i in range(N)]
-    assert_same(found, jax.tree.map(lambda *parts: jnp.stack(parts), *singles))
+    assert_same(results, jax.tree.map(lambda *parts: jnp.stack(parts), *singles))
 
 
 @pytest.mark.usefixtures("threads")
 def test_many_of_many():
     many = jax.vmap(jax.vmap(one_call, (0, None, None)), (None, 0, None))
-    found = jax.jit(many)(YS, COUNTS[:3], SHARED)
+    results = jax.jit(many)(YS, COUNTS[:3], SHARED)
     singles = [jax.jit(jax.vmap(one_call, (0, None, None)))(YS, n, SHARED) for n in COUNTS[:3]]
-    assert_same(found, jax.tree.map(lambda *parts: jnp.stack(parts), *singles))
+    assert_same(results, jax.tree.map(lambda *parts: jnp.stack(parts), *singles))
 
 
 def test_where_the_system_starts_no_thread_the_others_make_all_runs(monkeypatch):
@@ -91,6 +91,12 @@ def test_where_the_system_starts_no_thread_the_others_make_all_runs(monkeypatch)
 
     monkeypatch.setattr(mapped_programs, "_n_processors", lambda: 3)
     monkeypatch.setattr(text, "_started", staticmethod(refused))
-    found = jax.jit(jax.vmap(one_call, (0, 0, None)))(YS, COUNTS, SHARED)
+    results = jax.jit(jax.vmap(one_call, (0, 0, None)))(YS, COUNTS, SHARED)
     singles = [jax.jit(one_call)(y, n, SHARED) for y, n in zip(YS, COUNTS, strict=True)]
-    assert_same(found, jax.tree.map(lambda *parts: jnp.stack(parts), *singles))
+    assert_same(results, jax.tree.map(lambda *parts: jnp.stack(parts), *singles))
+
+
+@pytest.mark.usefixtures("threads")
+def test_no_runs_at_all():
+    results = jax.jit(jax.vmap(one_call, (0, 0, None)))(YS[:0], COUNTS[:0], SHARED)
+    assert [x.shape for x in results] == [(0, 3), (0, 3), (0,), (0,), (0, 0, 3)]

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from jax.extend import core as jex
+from native_loops import in_machine_code
 
 from spherejax.compiler import native_code, scalarize
 from spherejax.compiler.native import loops
@@ -37,29 +37,6 @@ def additions(monkeypatch):
     count("_added", "of arrays", lambda *_: 1)
     count("_add_products", "behind loops", lambda *_: 1)
     return counts
-
-
-def written(function, *examples):
-    """The results of a function that is one `while`, which is machine code."""
-    closed = jax.make_jaxpr(function)(*examples)
-
-    def evaluated(*values):
-        known = dict(zip([*closed.jaxpr.constvars, *closed.jaxpr.invars], [*closed.consts, *values], strict=True))
-
-        def read(atom):
-            return atom.val if isinstance(atom, jex.Literal) else known[atom]
-
-        for equation in closed.jaxpr.eqns:
-            operands = [read(atom) for atom in equation.invars]
-            if equation.primitive.name == "while":
-                results = loops.looped(equation.params, operands)
-            else:
-                results = equation.primitive.bind(*operands, **equation.params)
-                results = results if equation.primitive.multiple_results else [results]
-            known.update(zip(equation.outvars, results, strict=True))
-        return [read(atom) for atom in closed.jaxpr.outvars]
-
-    return jax.jit(evaluated)(*examples)
 
 
 def layers(width):
@@ -284,19 +261,19 @@ def both_of(name, width):
 @pytest.mark.parametrize("name", NAMES)
 def test_sums_are_those_of_jax(name, additions):
     function, plain, examples, counts = both_of(name, 40)
-    assert_same(written(function, *examples), plain(*examples))
+    assert_same(in_machine_code(function, *examples), plain(*examples))
     assert tuple(additions.values()) == counts
 
 
 def test_rows_are_added_in_the_turns_where_their_factors_would_be_many(additions, monkeypatch):
     function, plain, examples, _ = both_of("back_along_a_scan", 40)
     monkeypatch.setattr(loops, "LARGEST_DEFERRED", 3)
-    assert_same(written(function, *examples), plain(*examples))
+    assert_same(in_machine_code(function, *examples), plain(*examples))
     assert tuple(additions.values()) == (1, 0, 0)
 
 
 def test_the_sum_of_thousands_of_derivatives(additions):
     """Of more than a loop changes in place as a rule; it is written once."""
     function, plain, examples, _ = both_of("back_along_a_scan", 64)
-    assert_same(written(function, *examples), plain(*examples))
+    assert_same(in_machine_code(function, *examples), plain(*examples))
     assert tuple(additions.values()) == (1, 0, 1)

@@ -40,8 +40,8 @@ def operations(function, *arguments):
     return [e.primitive.name for e in jax.make_jaxpr(function)(*arguments).jaxpr.eqns]
 
 
-def assert_same(found, expected, rtol=1e-13):
-    for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
+def assert_same(results, expected, rtol=1e-13):
+    for one, other in zip(jax.tree.leaves(results), jax.tree.leaves(expected), strict=True):
         assert one.shape == other.shape
         assert one.dtype == other.dtype
         np.testing.assert_allclose(one, other, rtol=rtol, atol=1e-14)

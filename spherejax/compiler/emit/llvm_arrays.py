@@ -67,6 +67,7 @@ class InPlace(NamedTuple):
 
 
 BY_SIZE = InPlace(LARGE, has_rooms=False)
+"""Large arrays alone."""
 
 
 def within_limits(written: Callable[[InPlace], Any], large: int = LARGE) -> Any:

@@ -25,7 +25,7 @@ SHORTEST = 16
 """Products that are a loop, at least: two vectors."""
 
 FEWEST_DOTS = 8
-"""Dots that are evaluated together, at least: eight sums are put together by as many instructions as two."""
+"""Dots that are evaluated together, at least: they are evaluated eight at a time."""
 
 FEWEST = 200
 """Products in loops of a line, at least. Mechanisms have a sum of some twenty here and there: a loop gains nothing, and
@@ -491,7 +491,7 @@ end:
 
 
 WIDE = 'noinline nounwind "prefer-vector-width"="512"'
-"""Of functions of thousands of numbers: what they read and write goes through memory twice as fast as by 256 bits."""
+"""Of functions of thousands of numbers. With vectors of 256 bits the gradient by 4,417 weights takes 3 % longer."""
 
 _EIGHT = "<8 x double>"
 

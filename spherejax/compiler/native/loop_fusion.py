@@ -58,51 +58,56 @@ _FUSED = frozenset([
 stand alone, and so does what has an effect."""
 
 
-def fuse_loops(function: Callable) -> Callable:
-    """The same function; loops in it that call machine code do the rest of each turn in few kernels.
+def changed(function: Callable, evaluated: Callable[[Any, Sequence], Sequence]) -> Callable:
+    """The same function where no machine code is made; elsewhere its program is evaluated in another way.
 
-    Not to be differentiated: rules that are attached to parts of it are lost.
+    Args:
+        function: not to be differentiated: rules that are attached to parts of it are lost.
+        evaluated: from a program and flat arguments to flat results. The program is traced, and evaluated operation by
+            operation, so that loops are seen before JAX lowers them.
     """
 
     @wraps(function)
     def made(*arguments: Any) -> Any:
         if not machine_code.native_code_enabled():
             return function(*arguments)
-        # Traced here, and evaluated operation by operation, so that loops are seen before JAX lowers them.
         closed, shapes = jax.make_jaxpr(function, return_shape=True)(*arguments)
-        results = _evaluated(closed.jaxpr, closed.consts, jax.tree.leaves(arguments), is_loop=False)
+        results = evaluated(closed, jax.tree.leaves(arguments))
         return jax.tree.unflatten(jax.tree.structure(shapes), results)
 
     return made
+
+
+def fuse_loops(function: Callable) -> Callable:
+    """The same function; loops in it that call machine code do the rest of each turn in few kernels.
+
+    Not to be differentiated, see `changed`.
+    """
+    return changed(function, lambda closed, values: _evaluated(closed.jaxpr, closed.consts, values, is_loop=False))
 
 
 def whole_loops(function: Callable) -> Callable:
     """The same function; its loops that call machine code become machine code as a whole where all in them has a rule.
 
     Others stay as they are: XLA (jaxlib 0.10) aborts the process over some branches of derivatives between kernels.
-    Loops within other operations are not looked for. Not to be differentiated, as `fuse_loops`.
+    Loops within other operations are not looked for. Not to be differentiated, see `changed`.
     """
+    return changed(function, _with_whole_loops)
 
-    @wraps(function)
-    def made(*arguments: Any) -> Any:
-        if not machine_code.native_code_enabled():
-            return function(*arguments)
-        closed, shapes = jax.make_jaxpr(function, return_shape=True)(*arguments)
-        jaxpr = closed.jaxpr
-        known = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*closed.consts, *jax.tree.leaves(arguments)], strict=True))
-        for equation in jaxpr.eqns:
-            results = None
-            if equation.primitive.name == "while" and _calls(equation) and _is_alone(equation):
-                results = _as_a_whole(equation, [_read(atom, known) for atom in equation.invars])
-            if results is None:
-                inputs = [*dict.fromkeys(a for a in equation.invars if isinstance(a, jex.Var))]
-                one = _as_function([equation], inputs, equation.outvars)
-                results = one(*(known[a] for a in inputs))
-            known.update(zip(equation.outvars, results, strict=True))
-        results = [_read(atom, known) for atom in jaxpr.outvars]
-        return jax.tree.unflatten(jax.tree.structure(shapes), results)
 
-    return made
+def _with_whole_loops(closed: Any, values: Sequence) -> list:
+    jaxpr = closed.jaxpr
+    known = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*closed.consts, *values], strict=True))
+    for equation in jaxpr.eqns:
+        results = None
+        if equation.primitive.name == "while" and _calls(equation) and _is_alone(equation):
+            results = _as_a_whole(equation, [_read(atom, known) for atom in equation.invars])
+        if results is None:
+            inputs = [*dict.fromkeys(a for a in equation.invars if isinstance(a, jex.Var))]
+            one = _as_function([equation], inputs, equation.outvars)
+            results = one(*(known[a] for a in inputs))
+        known.update(zip(equation.outvars, results, strict=True))
+    return [_read(atom, known) for atom in jaxpr.outvars]
 
 
 def _calls(equation: Any) -> bool:

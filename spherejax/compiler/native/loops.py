@@ -724,7 +724,7 @@ def _is_room(jaxpr: Any, array: Any) -> bool:
 def _inner_arguments(equation: Any, places: Sequence[int]) -> list[tuple[Any, Any]] | None:
     """Programs within an operation, with those of their arguments that its arguments at some places are; None where it
     reads whole arrays."""
-    name, parameters, found = equation.primitive.name, equation.params, []
+    name, parameters, pairs = equation.primitive.name, equation.params, []
     for i in places:
         if name in INNER_PROGRAM:
             inner = [(parameters[INNER_PROGRAM[name]], i)]
@@ -745,8 +745,8 @@ def _inner_arguments(equation: Any, places: Sequence[int]) -> list[tuple[Any, An
             return None
         for program, at in inner:
             jaxpr = getattr(program, "jaxpr", program)
-            found.append((jaxpr, jaxpr.invars[at]))
-    return found
+            pairs.append((jaxpr, jaxpr.invars[at]))
+    return pairs
 
 
 class _Frame:

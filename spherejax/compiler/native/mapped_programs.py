@@ -31,6 +31,7 @@ STACK = 2**23
 """Bytes of a thread's stack: as the first thread of a process has on most systems, where the others may have less."""
 
 MOST_THREADS = 64
+"""Each takes some twenty instructions of the text."""
 
 _mapped = jex.Primitive("mapped_in_machine_code")
 _mapped.multiple_results = True
@@ -48,7 +49,7 @@ def _of_many(arguments: Sequence, dims: Sequence, *, written: WrittenLoop, resul
     is_mapped = tuple(dim is not None for dim in dims)
     front = [jax.numpy.moveaxis(x, dim, 0) if dim is not None else x for x, dim in zip(arguments, dims, strict=True)]
     rooms = tuple(r for a, r in written.in_place if a in written.rooms and dims[a] is None)
-    n_threads = min(n, _n_processors(), MOST_THREADS)
+    n_threads = max(1, min(n, _n_processors(), MOST_THREADS))
     made = _mapped.bind(
         *front, written=written, results=results, n=n, is_mapped=is_mapped, rooms=rooms, n_threads=n_threads
     )

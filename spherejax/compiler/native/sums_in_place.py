@@ -2,7 +2,7 @@
 
 The derivatives by the weights of a network are thousands of numbers, to which each stage of each step adds as many. If
 a call writes them somewhere, and they are then added, and the sum is copied to where the loop carries it, memory takes
-longer than the arithmetic: a quarter of the gradient by 4,417 weights. An array is followed here from the begin of a
+longer than the arithmetic: a sixth of the gradient by 4,417 weights. An array is followed here from the begin of a
 turn to its end; as long as nothing but the next sum reads it, it is an accumulator, and stays in one place:
 
     sum          accumulator + x, where x may come from

@@ -1,6 +1,6 @@
 """What lies around the loops of a run, and these loops, as one call of machine code.
 
-A run of a few dozen steps takes a twentieth of a millisecond. XLA compiles what lies around its loops (the numbers of
+A run of a few steps takes a twentieth of a millisecond. XLA compiles what lies around its loops (the numbers of
 the run, its tolerances, what is counted at its end) into a hundred kernels, calls each by itself, and hands a program
 with more than a thousand operations to a thread of its own, for which the caller waits: more than the run takes. Here
 all of it becomes one function, which is for XLA a program without operations.
@@ -10,7 +10,6 @@ What has no rule is left to XLA, around the loops.
 
 import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import wraps
 from typing import Any, NamedTuple
 
 import jax
@@ -31,8 +30,7 @@ from spherejax.compiler.emit.llvm_arrays import (
     Value,
     within_limits,
 )
-from spherejax.compiler.native import compile as machine_code
-from spherejax.compiler.native.loop_fusion import whole_loops
+from spherejax.compiler.native.loop_fusion import changed, whole_loops
 from spherejax.compiler.native.loops import LOOP, LoopText, WrittenLoop, bound
 from spherejax.compiler.native.uninitialized import UNINITIALIZED
 
@@ -46,28 +44,22 @@ LARGEST_TABLE = 2**16
 def as_one_call(function: Callable) -> Callable:
     """The same function as one call of machine code, where all in it has a rule; else `whole_loops`.
 
-    Not to be differentiated: rules that are attached to parts of it are lost.
+    Not to be differentiated, see `changed`.
     """
+    return changed(whole_loops(function), _in_one_call)
 
-    @wraps(function)
-    def made(*arguments: Any) -> Any:
-        if not machine_code.native_code_enabled():
-            return function(*arguments)
-        closed, shapes = jax.make_jaxpr(whole_loops(function), return_shape=True)(*arguments)
-        jaxpr, _ = dce_jaxpr(closed.jaxpr, [True] * len(closed.jaxpr.outvars), instantiate=True)
-        values = jax.tree.leaves(arguments)
-        try:
-            results = _called(jaxpr, closed.consts, values)
-        except NotWrittenError as reason:
-            logging.getLogger(__name__).info("what is around the loops of a run is left to XLA: %s", reason)
-            results = jex.jaxpr_as_fun(jex.ClosedJaxpr(jaxpr, closed.consts))(*values)
-        return jax.tree.unflatten(jax.tree.structure(shapes), results)
 
-    return made
+def _in_one_call(closed: Any, values: Sequence) -> Sequence:
+    jaxpr, _ = dce_jaxpr(closed.jaxpr, [True] * len(closed.jaxpr.outvars), instantiate=True)
+    try:
+        return _called(jaxpr, closed.consts, values)
+    except NotWrittenError as reason:
+        logging.getLogger(__name__).info("what is around the loops of a run is left to XLA: %s", reason)
+        return jex.jaxpr_as_fun(jex.ClosedJaxpr(jaxpr, closed.consts))(*values)
 
 
 def leaves_loops(jaxpr: Any) -> bool:
-    """Whether a program has loops of XLA's that end at any time, or no machine code in place of them."""
+    """Whether a program has loops that are left to XLA, which may end after any number of turns, or has no others."""
     names = [*_names(jaxpr)]
     return LOOP not in names or "while" in names
 
@@ -84,7 +76,7 @@ class _Aliases(NamedTuple):
 
     Attributes:
         own: indices of arguments that are changed, each with the result that it becomes.
-        results: of the function, those among them that nobody asked for at the end.
+        results: of the function; behind those that are asked for stand other arrays that are changed.
     """
 
     own: Mapping[int, int]

@@ -133,7 +133,7 @@ def _batched(operands: Sequence, dims: Sequence, *, linear: LinearMap, n_residua
 
     mapped = LinearMap(
         partial(_side_by_side, linear.forward, axes),
-        partial(_one_by_one, linear.backward, axes),
+        partial(_each_by_itself, linear.backward, axes),
         partial(_side_by_side, linear.differentiable, axes),
         wide(linear.inputs),
         wide(linear.outputs),
@@ -147,7 +147,7 @@ def _side_by_side(function: Callable, axes: list, residuals: Arrays, x: Arrays) 
     return jax.vmap(lambda own, x: list(function(own, x)), (axes, 0))(list(residuals), list(x))
 
 
-def _one_by_one(function: Callable, axes: list, residuals: Arrays, x: Arrays) -> Arrays:
+def _each_by_itself(function: Callable, axes: list, residuals: Arrays, x: Arrays) -> Arrays:
     """Mapped so that loops of different lengths do not wait for each other."""
     own = [value for value, axis in zip(residuals, axes, strict=True) if axis is not None]
 

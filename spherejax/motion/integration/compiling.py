@@ -77,8 +77,8 @@ def native_run(function: Callable[[], Any], is_native: bool, joins: bool = True)
     return native_code(is_native, joins)(function)()
 
 
-def one_by_one(program: Any) -> bool:
-    """Whether several runs are made one after the other sooner than side by side.
+def is_faster_one_by_one(program: Any) -> bool:
+    """Whether several runs take less time one by one than side by side.
 
     Args:
         program: the scalar program of their right-hand side.
@@ -97,15 +97,19 @@ def in_one_call(function: Callable[[], Any], is_native: bool) -> Any:
 
 
 def for_each(function: Callable, mapped: Any) -> Any:
-    """A function of each entry of arrays, which may have loops of any length.
+    """The results of a function for each entry of arrays along their first axis; it may have loops of any length.
 
     As machine code the entries are computed on all processors, otherwise one after the other: side by side, loops of
     XLA's would wait for the longest in every turn.
     """
-    closed, shapes = jax.make_jaxpr(function, return_shape=True)(jax.tree.map(lambda leaf: leaf[0], mapped))
+    leaves = jax.tree.leaves(mapped)
+    of_one = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape[1:], leaf.dtype), mapped)
+    closed, shapes = jax.make_jaxpr(function, return_shape=True)(of_one)
+    evaluated = jex.jaxpr_as_fun(closed)
     if native_code.leaves_loops(closed.jaxpr):
-        return jax.lax.map(function, mapped)
-    results = jax.vmap(jex.jaxpr_as_fun(closed))(*jax.tree.leaves(mapped))
+        results = jax.lax.map(lambda parts: evaluated(*parts), leaves)
+    else:
+        results = jax.vmap(evaluated)(*leaves)
     return jax.tree.unflatten(jax.tree.structure(shapes), results)
 
 

@@ -89,7 +89,7 @@ class Plan:
         """All numbers of the system, from those that are traced and those that are known."""
         n = len(self.unknown)
         if self.unknown and self.unknown == tuple(range(self.unknown[0], self.unknown[0] + n)):
-            # Side by side, as the weights of a network: to pick thousands one by one takes as long as a step.
+            # Side by side, as the weights of a network: to pick 4,417 one by one took a seventh of their gradient.
             return jnp.concatenate([known[: self.unknown[0]], values[:n], known[self.unknown[0] + n :]])
         # Picked, not scattered: XLA:CPU (jax 0.10) aborts when it compiles the derivative of a scatter that it fuses.
         source = np.arange(known.shape[0])

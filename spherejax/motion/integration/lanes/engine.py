@@ -18,7 +18,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from spherejax.foundations.lanes import in_lanes, with_rows_at
 from spherejax.motion.integration.audit import Watch
-from spherejax.motion.integration.compiling import native_run, one_by_one
+from spherejax.motion.integration.compiling import is_faster_one_by_one, native_run
 from spherejax.motion.integration.lanes.account import AccountLayout, written
 from spherejax.motion.integration.lanes.control import BlockSteps, Repeating, clipped, told_by
 from spherejax.motion.integration.lanes.first_step import N_LOOKS, InitialStepProbe
@@ -84,7 +84,7 @@ def _worked_off(
 ) -> tuple[LaneOutcome, StepLog | None]:
     # Array code in machine code is for one run: of many, XLA makes vectors over runs.
     is_native = problem.in_machine_code and (problem.program is not None or len(y0) == 1)
-    if is_native and len(y0) > 1 and not others and one_by_one(problem.program):
+    if is_native and len(y0) > 1 and not others and is_faster_one_by_one(problem.program):
         return _one_by_one(problem, ts, (parameters, y0, may_run, status)), None
     return native_run(
         lambda: Queue(problem, parameters, y0, ts, may_run, status, block, *others).run_queue(), is_native
