@@ -117,7 +117,7 @@ def test_without_flow_through_it_is_the_balance_of_one_temperature():
 
 def random_state(film, seed, suction=False):
     r = np.random.default_rng(seed)
-    w = r.normal(scale=1e-6, size=film.points)
+    w = r.normal(scale=1e-6, size=len(film.memory))
     if film.grooves and not suction:
         w = np.where(w < 0, 20 * w, w)
     angle = r.uniform(0, 2 * np.pi)
@@ -126,11 +126,11 @@ def random_state(film, seed, suction=False):
     return moving(jnp.asarray(w), e, r.normal(scale=0.02, size=2), spins), jnp.asarray(r.normal(10.0, 5.0, film.points))
 
 
-@pytest.mark.parametrize("grooves", [0, 1, 2])
-def test_heat_and_oil_and_energy_are_accounted_for(grooves):
+@pytest.mark.parametrize(("grooves", "axial"), [(0, 1), (1, 1), (2, 1), (0, 2), (2, 2)])
+def test_heat_and_oil_and_energy_are_accounted_for(grooves, axial):
     """At any state: heat of the oil grows by what is dissipated less what leaves, its volume by what comes in, and what
     the journal gives is stored in the liner or dissipated."""
-    film = sj.laws.LinedBearing(LENGTH, sj.laws.WinklerLiner(1e9, 0.4, 2e-3), 16, grooves, 0.3, 0.1)
+    film = sj.laws.LinedBearing(LENGTH, sj.laws.WinklerLiner(1e9, 0.4, 2e-3), 16, grooves, 0.3, 0.1, axial)
     heat = sj.laws.BearingHeat(REYNOLDS, CAPACITY, 3.0, 2.0, 0.7, 310.0, 320.0, 300.0)
     states = [random_state(film, seed) for seed in range(30)]
 
@@ -193,23 +193,25 @@ def test_a_starved_film_keeps_its_oil_from_groove_to_groove():
     assert -float(action.force[1]) < 0 < 0.5 * float(action.shear_power)
 
 
-def test_a_journal_that_turns_the_other_way_is_the_mirror_image():
-    film = sj.laws.LinedBearing(LENGTH, LINER, 16, grooves=2)
+@pytest.mark.parametrize("axial", [1, 2])
+def test_a_journal_that_turns_the_other_way_is_the_mirror_image(axial):
+    film = sj.laws.LinedBearing(LENGTH, LINER, 16, grooves=2, axial=axial)
     heat = sj.laws.BearingHeat(REYNOLDS, CAPACITY, 1.0, 1.0)
     motion, warming = random_state(film, 4)
     mirror = np.r_[0, np.arange(15, 0, -1)]
+    of_all = np.concatenate([mirror + 16 * k for k in range(axial)])
     flip = jnp.array([1.0, -1.0, 1.0])
     other = motion._replace(
         e=motion.e * flip,
         e_rate=motion.e_rate * flip,
         socket_spin=-motion.socket_spin,
         ball_spin=-motion.ball_spin,
-        memory=motion.memory[mirror],
+        memory=motion.memory[of_all],
     )
     action, rates, told = acting(film, heat, motion, warming)
     mirrored, its_rates, its_told = acting(film, heat, other, warming[mirror])
     np.testing.assert_allclose(mirrored.force, action.force * flip, rtol=1e-10, atol=1e-10)
-    np.testing.assert_allclose(mirrored.memory_rate[mirror], action.memory_rate, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(mirrored.memory_rate[of_all], action.memory_rate, rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(its_rates[mirror], rates, rtol=1e-9, atol=1e-9)
     assert float(its_told["heat_to_flow"]) == pytest.approx(float(told["heat_to_flow"]), rel=1e-10)
 
