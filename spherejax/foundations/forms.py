@@ -209,6 +209,8 @@ def _options_of(annotation: Any) -> tuple:
 
 def _given(value: Any) -> _Given:
     """Shape of real numbers, or why a value is none."""
+    if type(value) is float:  # most are, of which nothing has to be asked
+        return _Given((), IN_SI)
     if _is_masked(value):
         return _Given(None, _MASKED)
     if isinstance(value, jax.core.Tracer | jax.Array | np.ndarray | np.generic):

@@ -14,7 +14,8 @@ def numeric(value):
     NumPy matters under an outer `jit`: a comparison of concrete JAX arrays would be staged there,
     and a value that could be judged at once would look as if it could not.
     """
-    if all(is_concrete(leaf) for leaf in jax.tree.leaves(value)):
+    is_array = type(value) is np.float64 or type(value) is np.ndarray  # of these nothing is asked
+    if is_array or all(is_concrete(leaf) for leaf in jax.tree.leaves(value)):
         return np.asarray(value, dtype=float)
     return jnp.asarray(value)
 

@@ -242,9 +242,9 @@ def _with_known_derivatives(
         scale = plan.scales(numbers.values)
         run = run_and_slopes(plan, method, numbers, _diagonal(scale))
         outcome = run.outcome
-        ys, assembly = _unscaled((run.slopes, run.assembly_slopes), scale)
+        ys, *assembly = _unscaled([run.slopes, *([] if n else run.assembly_slopes)], scale)
         has_succeeded = int(outcome.status) == Status.SUCCEEDED
-        jacobians = [ys, ys[-1] if has_succeeded else np.full_like(ys[-1], np.nan), *assembly][:n]
+        jacobians = [ys, ys[-1] if has_succeeded else np.full_like(ys[-1], np.nan), *assembly]
 
         def along(tangent: Array) -> list:
             return times_jacobians(jnp.ravel(tangent), *jacobians)

@@ -260,7 +260,11 @@ def _closed_whole(scene: PreparedScene, ts: Numeric) -> KnownStart | None:
     return known_start(scene.seen, ts)
 
 
-@memoized(N_ANSWERS, _by_scene)
 def conditions_of_jumps(scene: PreparedScene, ts: Numeric) -> list:
     """Conditions, traced, that no driver jumps; see `motion.start.jumps`."""
-    return jump_conditions(scene.seen, ts) if scene.is_driven else []
+    return _conditions_of_drivers(scene, ts) if scene.is_driven else []
+
+
+@memoized(N_ANSWERS, _by_scene)
+def _conditions_of_drivers(scene: PreparedScene, ts: Numeric) -> list:
+    return jump_conditions(scene.seen, ts)

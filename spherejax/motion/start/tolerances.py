@@ -110,15 +110,15 @@ def _tolerances_by(structure: Structure, numbers: tuple[bytes, ...], rtol: float
     at = _measured_at(structure)
     assert at is not None
     masses = np.frombuffer(numbers[-1]).tolist() if at.depends_on_masses else []
-    scales = _scales_by(numbers[: len(at.vectors) + 1])
+    vectors, clearances = numbers[: len(at.vectors)], np.frombuffer(numbers[len(at.vectors)])
+    scales = (*_length_and_speed_by(vectors), _smallest(np, clearances))
     return _described(_numbers_of(at.kinds, scales, masses, rtol), rtol, is_known=True)
 
 
 @lru_cache(maxsize=256)
-def _scales_by(numbers: tuple[bytes, ...]) -> tuple:
-    """Length, speed and smallest clearance, by the vectors and the clearances that they are made of."""
-    *vectors, clearances = map(np.frombuffer, numbers)
-    return _scales_of(np, [vector.reshape(-1, 3) for vector in vectors], clearances)
+def _length_and_speed_by(numbers: tuple[bytes, ...]) -> tuple:
+    """Length and speed, by the vectors that they are made of."""
+    return _length_and_speed_of(np, [np.frombuffer(vector).reshape(-1, 3) for vector in numbers])
 
 
 class _Measured(NamedTuple):
@@ -303,7 +303,7 @@ def length_and_energy(structure: Structure, theta: Any) -> tuple[Numeric, Numeri
         system = structure.system(theta)
         return length_scale(system), energy_scale(system)
     theta = jnp.asarray(theta)
-    length, speed, _ = _scales_of(jnp, [kind.within(theta).reshape(-1, 3) for kind in at.vectors], np.zeros(0))
+    length, speed = _length_and_speed_of(jnp, [kind.within(theta).reshape(-1, 3) for kind in at.vectors])
     return length, jnp.sum(at.masses.within(theta)) * speed * speed
 
 
@@ -328,11 +328,12 @@ def _scales(system: System):
     places, velocities, spins, clearances = _lengths_and_speeds(system)
     xp: Any = jnp if _has_traced_scales(system) else np
     vectors = [xp.stack([xp.asarray(v) for v in each]) for each in (places, velocities, spins, [system.gravity])]
-    return _scales_of(xp, vectors, xp.stack([xp.asarray(c) for c in clearances]) if clearances else np.zeros(0))
+    smallest = _smallest(xp, xp.stack([xp.asarray(c) for c in clearances]) if clearances else np.zeros(0))
+    return (*_length_and_speed_of(xp, vectors), smallest)
 
 
-def _scales_of(xp: Any, vectors: list, clearances: Any) -> tuple:
-    """The same of arrays of vectors, shape (n, 3): places, velocities, spins, gravity; and of clearances."""
+def _length_and_speed_of(xp: Any, vectors: list) -> tuple:
+    """Of arrays of vectors, shape (n, 3): places, velocities, spins, gravity."""
     places, velocities, spins, gravity = vectors
 
     def largest(vectors):
@@ -340,9 +341,11 @@ def _scales_of(xp: Any, vectors: list, clearances: Any) -> tuple:
 
     length = xp.maximum(largest(places), SMALLEST_LENGTH)
     speed = xp.sqrt(largest(gravity) * length) + largest(velocities) + largest(spins) * length
-    speed = xp.where(speed > 0, speed, 1.0)
-    clearance = xp.min(clearances) if clearances.size else np.inf
-    return length, speed, clearance
+    return length, xp.where(speed > 0, speed, 1.0)
+
+
+def _smallest(xp: Any, clearances: Any) -> Numeric:
+    return xp.min(clearances) if clearances.size else np.inf
 
 
 def _lengths_and_speeds(system: System) -> tuple[list, list, list, list]:

@@ -156,7 +156,8 @@ class AbstractClearanceModel(AbstractSphericalModel):
             if is_bearing
             else "Give sj.laws.HarmonicDepth(coefficients): a depth by direction."
         )
-        depths = {"socket_depth": self.surfaces.socket_depth, "ball_depth": self.surfaces.ball_depth}
+        surfaces = self.surfaces
+        depths = {"socket_depth": surfaces.socket_depth, "ball_depth": surfaces.ball_depth}
         return [
             Requirement("conformity", name, fits, f"be of {of}", remedy),
             *(
