@@ -14,7 +14,7 @@ from sweeping import pendulum
 
 import spherejax as sj
 from spherejax.motion.equations.programs import made_program
-from spherejax.motion.integration.one_run import advance_window, integrated, started
+from spherejax.motion.integration.one_run import advance_window, before_first_window, integrated
 from spherejax.motion.integration.through_diffrax import integrate_through_diffrax
 from spherejax.motion.runs.many import many, simulate_many
 from spherejax.program_cache import cached_jit, folders
@@ -172,7 +172,7 @@ def test_every_cache_is_bounded():
         text = path.read_text()
         assert not re.search(r"^[^#`\n]*(@|= )eqx\.filter_jit", text, re.M), path
         assert "maxsize=None" not in text, path
-    for cached in (integrate_through_diffrax, integrated, started, advance_window, many, _program):
+    for cached in (integrate_through_diffrax, integrated, before_first_window, advance_window, many, _program):
         assert cached.n_programs <= 24
     assert made_program.cache_info().maxsize is not None
 

@@ -387,7 +387,7 @@ def test_loops_of_runs_are_written_and_move_as_before(name, monkeypatch):
     for how in (counted, refused):
         with monkeypatch.context() as patch:
             patch.setattr(loop_fusion, "looped", how)
-            for program in (one_run.started, one_run.advance_window, one_run.integrated):
+            for program in (one_run.before_first_window, one_run.advance_window, one_run.integrated):
                 program.clear()
             found.append(np.asarray(sj.simulate(scene, ts, rtol=1e-9).ys))
     assert {*asked} == {"written", "refused"}

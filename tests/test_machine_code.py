@@ -33,7 +33,7 @@ from spherejax.model.system import compile_scene, flatten_system
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import program_for
 from spherejax.motion.integration.lanes.stages import ExplicitStages
-from spherejax.motion.integration.one_run import _with_slopes, advance_window, integrated, started
+from spherejax.motion.integration.one_run import _with_slopes, advance_window, before_first_window, integrated
 from spherejax.motion.integration.sensitivity_rows import linearized, rows_rate
 from spherejax.motion.results.observed import observed
 from spherejax.motion.start.assembly import as_ideal, assemble_now
@@ -475,7 +475,7 @@ def test_an_explicit_run_is_what_xla_makes_of_it(name, drift, monkeypatch):
         patched.setattr(machine_code, "is_available", lambda: False)
         expected = made()
         jax.clear_caches()
-    for function in (integrated, started, advance_window):
+    for function in (integrated, before_first_window, advance_window):
         function.clear()
     run = made()
     assert int(run.stats.n_steps) == pytest.approx(int(expected.stats.n_steps), rel=0.1)
@@ -507,7 +507,7 @@ def test_derivatives_of_an_explicit_run_are_what_xla_makes_of_them(name, n_rows,
         patched.setattr(machine_code, "is_available", lambda: False)
         expected = made()
         jax.clear_caches()
-    for function in (integrated, started, advance_window, _with_slopes):
+    for function in (integrated, before_first_window, advance_window, _with_slopes):
         function.clear()
     with machine_code.record_ffi_targets() as codes:
         found = made()
@@ -582,7 +582,7 @@ def test_a_stiff_run_and_its_derivatives_are_what_xla_makes_of_them(monkeypatch)
     run, slope = both()
     monkeypatch.setattr(machine_code, "is_available", lambda: False)
     jax.clear_caches()
-    for function in (integrated, started, advance_window, _with_slopes):
+    for function in (integrated, before_first_window, advance_window, _with_slopes):
         function.clear()
     other, other_slope = both()
     assert int(run.stats.n_steps) == pytest.approx(int(other.stats.n_steps), abs=2)

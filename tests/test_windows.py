@@ -18,7 +18,7 @@ from controlling import sampled_motor
 import spherejax as sj
 from spherejax.motion.integration import one_run
 from spherejax.motion.integration.lanes import windows
-from spherejax.motion.integration.one_run import advance_window, integrated, started
+from spherejax.motion.integration.one_run import advance_window, before_first_window, integrated
 from spherejax.motion.integration.row_blocks import in_blocks, joined_rows
 from spherejax.motion.results import observed as observing
 from spherejax.motion.results.observed import looked_up_at, observed
@@ -27,7 +27,7 @@ from spherejax.motion.results.steps import repeated_in_steps as repeated
 from spherejax.motion.runs import simulate
 from spherejax.program_cache import cached_jit
 
-PROGRAMS = (started, advance_window, integrated, observed, looked_up_at)
+PROGRAMS = (before_first_window, advance_window, integrated, observed, looked_up_at)
 
 
 def at_once(monkeypatch, make):

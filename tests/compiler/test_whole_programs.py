@@ -98,6 +98,23 @@ def test_room_is_changed_in_place_by_loops_behind_each_other():
     assert "copy(" not in str(jax.jit(made).lower(Y).compile().as_text())
 
 
+def test_room_of_which_a_row_is_written_ahead_of_its_loop_stays_where_it_is():
+    def function(y):
+        rows = jax.lax.dynamic_update_slice(uninitialized((400, y.size)), -y[None], (0, 0))
+
+        def turn(state):
+            i, rows = state
+            return i + 1, rows.at[i].set(i * y)
+
+        rows = jax.lax.while_loop(lambda s: s[0] < 300, turn, (jnp.asarray(1), rows))[1]
+        return rows[:300]
+
+    made = one_call(function)
+    assert operations(made, Y) == ["uninitialized", LOOP]
+    np.testing.assert_array_equal(jax.jit(made)(Y), jnp.arange(300)[:, None] * Y - jnp.eye(300)[0][:, None] * Y)
+    assert "copy(" not in str(jax.jit(made).lower(Y).compile().as_text())
+
+
 def test_room_that_nobody_reads_behind_is_handed_on_by_mapped_runs():
     def function(y):
         def turn(state):

@@ -306,7 +306,7 @@ def _call(equation: Any, known: dict, is_loop: bool) -> None:
         loop = jax.make_jaxpr(lambda *arguments: _as_loop(parameters, arguments))(*values)
         results = _evaluated(loop.jaxpr, loop.consts, values, is_loop)
     else:
-        changed = {"branches": _changed(parameters["branches"])} if name == "cond" else {}
+        changed = {"branches": _changed(parameters["branches"])} if name == "cond" and is_loop else {}
         inputs = [*dict.fromkeys(a for a in equation.invars if isinstance(a, jex.Var))]
         outputs = [out for out in equation.outvars if not private.is_dropped(out)]
         whole = equation.replace(params={**parameters, **changed})

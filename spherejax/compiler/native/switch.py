@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from contextlib import ExitStack
+from functools import partial
 from typing import Any
 
 from spherejax.compiler.native import compile as machine_code
@@ -29,7 +30,8 @@ class native_code:  # noqa: N801 - a context manager, as those of contextlib
 
     def __init__(self, enabled: bool = True, joins: bool = True, is_one_call: bool = False):
         self._enabled = enabled
-        self._changed = as_one_call if is_one_call else fuse_loops if joins else whole_loops
+        loops = fuse_loops if joins else whole_loops
+        self._changed = partial(as_one_call, joins=joins) if is_one_call else loops
         # One stack for each entry: the same object may be entered again within itself.
         self._entered: list[ExitStack] = []
 

@@ -9,7 +9,7 @@ What has no rule is left to XLA, around the loops.
 """
 
 import logging
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -30,7 +30,7 @@ from spherejax.compiler.emit.llvm_arrays import (
     Value,
     within_limits,
 )
-from spherejax.compiler.native.loop_fusion import changed, whole_loops
+from spherejax.compiler.native.loop_fusion import changed, fuse_loops, whole_loops
 from spherejax.compiler.native.loops import LOOP, LoopText, WrittenLoop, bound
 from spherejax.compiler.native.uninitialized import UNINITIALIZED
 
@@ -41,12 +41,13 @@ LARGEST_TABLE = 2**16
 """Indices of a constant that is written into the text, at most."""
 
 
-def as_one_call(function: Callable) -> Callable:
-    """The same function as one call of machine code, where all in it has a rule; else `whole_loops`.
+def as_one_call(function: Callable, joins: bool) -> Callable:
+    """The same function as one call of machine code, where all in it has a rule; else `fuse_loops` where it joins, and
+    `whole_loops` where not.
 
     Not to be differentiated, see `changed`.
     """
-    return changed(whole_loops(function), _in_one_call)
+    return changed((fuse_loops if joins else whole_loops)(function), _in_one_call)
 
 
 def _in_one_call(closed: Any, values: Sequence) -> Sequence:
@@ -124,6 +125,11 @@ def _aliases_of(equations: Sequence[Any], invars: Sequence[Any], outvars: Sequen
     origin = {v: i for i, v in enumerate(invars)}
     latest: dict[int, Any] = {}
     for equation in equations:
+        for target, result in _handed_on(equation):
+            if isinstance(target, jex.Var) and target in origin:
+                origin[result] = origin[target]
+                if origin[target] in latest:
+                    latest[origin[target]] = result
         if equation.primitive.name != LOOP:
             continue
         for argument, result in equation.params["written"].in_place:
@@ -138,6 +144,16 @@ def _aliases_of(equations: Sequence[Any], invars: Sequence[Any], outvars: Sequen
             results.append(last)
         own[argument] = results.index(last)
     return _Aliases(own, results)
+
+
+def _handed_on(equation: Any) -> Iterable[tuple[Any, Any]]:
+    """Arguments of an operation other than a loop that is called, each with the result that stands in its place."""
+    if equation.primitive.name == "dynamic_update_slice":
+        return [(equation.invars[0], equation.outvars[0])]
+    if equation.primitive.name == "while":
+        n_fixed = equation.params["cond_nconsts"] + equation.params["body_nconsts"]
+        return zip(equation.invars[n_fixed:], equation.outvars, strict=True)
+    return []
 
 
 class WholeText(LoopText):

@@ -254,6 +254,7 @@ def pulled_back(
         return in_one_call(
             lambda: _pulled_back(plan, method, inputs, by_ys, by_assembly, along, kept, has_succeeded),
             in_machine_code(plan),
+            joins=False,
         )
 
 
@@ -312,7 +313,7 @@ def _with_steps(plan: Plan, method: RunMethod, inputs: RunInputs) -> tuple[Outco
         return jax.tree.map(lambda one, other: jnp.where(are_kept, one, other), outcome, of_itself), steps
 
     with program_for(state_rate, plan.structure, plan.scalar).native_code(in_machine_code(plan)):
-        outcome, steps = in_one_call(kept, in_machine_code(plan))
+        outcome, steps = in_one_call(kept, in_machine_code(plan), joins=False)
         if method.stiff_rest is not None:  # it is one of two loops, each of which takes as long to compile
             outcome = jax.lax.cond(steps.are_kept, lambda: outcome, lambda: integrated(plan, method, inputs))
     return outcome, steps

@@ -24,9 +24,6 @@ first call. Where they are machine code it has little to do, and this saves a te
 # processor time, and it runs the same within the noise, with the same bits (`benchmarks/fewer_words.py`). So it is with
 # large programs of all methods.
 
-OF_START = hooks.FAST_COMPILE
-"""Options for the start of a run, which is called once and takes a fifth less to compile with them."""
-
 
 def options_for(plan: Any, *_: Any) -> Mapping[str, Any]:
     """The compiler's options for a run.
@@ -86,14 +83,14 @@ def is_faster_one_by_one(program: Any) -> bool:
     return native_code.is_available() and program.is_of_long_sums
 
 
-def in_one_call(function: Callable[[], Any], is_native: bool) -> Any:
+def in_one_call(function: Callable[[], Any], is_native: bool, joins: bool = True) -> Any:
     """What a function returns that holds a run and what is around its loops: by one call, where that can be.
 
     Args:
         function: without arguments, not to be differentiated.
-        is_native: as of `native_run`.
+        is_native, joins: as of `native_run`.
     """
-    return native_code(is_native, is_one_call=True)(function)()
+    return native_code(is_native, joins, is_one_call=True)(function)()
 
 
 def for_each(function: Callable, mapped: Any) -> Any:

@@ -1,12 +1,11 @@
 """Runs of `simulate`: each is a lane of its own, and `jax.vmap` of it a queue of runs.
 
-A run of numbers is two programs, its start and its windows of samples, which serve any number of samples. A run within
-`jax.jit`, and one with its derivatives, is a program for its samples.
+A run of numbers is a program that makes a window of samples, the first with the start, which serves any number of
+samples. A run within `jax.jit`, and one with its derivatives, is a program for its samples.
 """
 
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -23,18 +22,20 @@ from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import Program, program_for
 from spherejax.motion.equations.sampling import initial_force_memory
 from spherejax.motion.integration.compiling import (
-    OF_START,
     arrays_in_machine_code,
     for_one_run,
     in_machine_code,
+    in_one_call,
+    native_run,
     options_for,
 )
 from spherejax.motion.integration.implicit_rows import usual_tangent_factor
 from spherejax.motion.integration.jobs import Job, JobKind, job_of, statistics, with_slopes
-from spherejax.motion.integration.lanes import Block, LaneOutcome, run_in_lanes
+from spherejax.motion.integration.lanes import Block, LaneOutcome, run_in_lanes, windows
 from spherejax.motion.integration.lanes.operation import runs
 from spherejax.motion.integration.lanes.windows import (
     RunCheckpoint,
+    RunUnderWay,
     WindowPace,
     WindowProgress,
     begun,
@@ -64,23 +65,22 @@ def bound_run(plan: Plan, method: RunMethod, inputs: RunInputs) -> Callable[[], 
     """`run_of` these arguments, to be called again and again."""
     if method.stiff_rest is None:
         plan = for_one_run(plan, method.rest)
-    of_method = jax.tree.leaves(method)
-    if inputs.ts.shape[0] > 2 and _are_known(method, of_method, inputs):
-        return _in_windows(plan, method, of_method, inputs)
+    if inputs.ts.shape[0] > 2 and _are_known(method, inputs):
+        return _in_windows(plan, method, inputs)
     return integrated.bound(plan, method, inputs)
 
 
-def _are_known(method: RunMethod, of_method: list, inputs: RunInputs) -> bool:
+def _are_known(method: RunMethod, inputs: RunInputs) -> bool:
     """Whether a run is made now, from numbers, by a method that is known.
 
     Not where JAX looks for NaN and infinity in whatever a program returns: windows that are not full have both.
     """
-    is_known = all(map(is_concrete, (*of_method, *jax.tree.leaves(inputs)))) and not is_tracing()
+    is_known = all(map(is_concrete, jax.tree.leaves((method, inputs)))) and not is_tracing()
     return is_known and method.stiff_rest is None and not is_debugging()
 
 
-def _in_windows(plan: Plan, method: RunMethod, of_method: list, inputs: RunInputs) -> Callable[[], Outcome]:
-    """A run of numbers, by programs that are the same for any number of samples."""
+def _in_windows(plan: Plan, method: RunMethod, inputs: RunInputs) -> Callable[[], Outcome]:
+    """A run of numbers, by a program that is the same for any number of samples."""
     times = np.asarray(inputs.ts)
     ends = times[[0, -1]]
     pace = _pace(plan.structure, method.rest)
@@ -88,31 +88,22 @@ def _in_windows(plan: Plan, method: RunMethod, of_method: list, inputs: RunInput
     theta[list(plan.unknown)] = inputs.values[: len(plan.unknown)]
     described = None if inputs.start is None else inputs.start.y
     start = _as_flying(plan, theta, float(times[0]), inputs.start)
-    of_start = inputs._replace(ts=ends, start=start)
-    programs = _window_programs(plan, method, of_start, window_at(times, 0))
-    of_inputs = jax.tree.leaves(of_start)
+    advance, of_run, nothing = _window_program(plan, method, inputs._replace(ts=ends, start=start))
 
     def run() -> Outcome:
-        with as_numbers():  # a run that is known is remembered, and may be asked for within a trace
-            (vectors, forms), assembly = programs.begin([*of_method, *of_inputs])
         found: Any = None
 
-        def go_on(vectors, *window):
-            advance = programs.advance
-            if advance is None:  # the forms are known now
-                advance = programs.advance = advance_window.bound_form(plan, method, ends, forms, vectors, *window)
-            return advance([*of_method, ends, *jax.tree.leaves(vectors), *window])
-
-        def samples() -> Iterator[tuple[int, Array]]:
-            nonlocal vectors, found
-            first, n_turns_before = 0, 0
+        def samples() -> Iterator[tuple[int, int, Array]]:
+            nonlocal found
+            vectors, first, n_turns_before = nothing, 0, 0
             while True:
                 began = time.perf_counter()
-                ys, found, vectors, numbers = go_on(vectors, window_at(times, first), np.asarray(pace.n_turns))
+                window, n_turns = window_at(times, first), np.array([found is None, pace.n_turns])
+                ys, found, vectors, numbers = advance([*of_run, *jax.tree.leaves(vectors), window, n_turns])
                 progress = WindowProgress.of(numbers)  # waits for the program
                 pace.note(progress.n_turns - n_turns_before, time.perf_counter() - began)
                 n_turns_before = progress.n_turns
-                yield first, ys
+                yield first, progress.n_written, ys
                 first += progress.n_written - 1
                 is_full = progress.n_written == len(ys) and first + 1 < len(times)
                 if not (progress.is_busy or is_full):
@@ -124,33 +115,29 @@ def _in_windows(plan: Plan, method: RunMethod, of_method: list, inputs: RunInput
             if found is not None:
                 interrupt.add_note(_where_it_stopped(times, found))
             raise
-        t_reached, y_reached, status, stats = found
+        t_reached, y_reached, status, stats, assembly = found
         assembly = assembly if described is None else assembly._replace(y=described)
         return _put_together(ys, t_reached, y_reached, status, stats, assembly)
 
     return run
 
 
-@dataclass
-class _WindowPrograms:
-    """The two programs of runs in windows, as functions of their arrays.
-
-    Attributes:
-        begin: `started`.
-        advance: `advance_window`; None before the first run, which shows the forms of what it takes.
-    """
-
-    begin: Callable[[list], Any]
-    advance: Callable[[list], Any] | None = None
-
-
-def _window_programs(plan: Plan, method: RunMethod, inputs: RunInputs, window: np.ndarray) -> _WindowPrograms:
-    """Those of all runs whose arrays have these forms: to find a program by its arguments takes 0.1 ms."""
-    leaves, tree = jax.tree.flatten((method, inputs, window))
+def _window_program(plan: Plan, method: RunMethod, inputs: RunInputs) -> tuple[Callable[[list], Any], list, dict]:
+    """`advance_window` as a function of its arrays, those of the method and the inputs, and the vectors that its first
+    window is given. To find a program by its arguments takes 0.1 ms: it is looked up by the forms of the arrays."""
+    leaves, tree = jax.tree.flatten((method, inputs))
     key = None
     if all(isinstance(leaf, np.ndarray | np.generic | jax.Array) for leaf in leaves):
-        key = plan, tree, user_code_fingerprint(tree), tuple(map(ArrayKind.of, leaves))
-    return lru_get(_programs, key, lambda: _WindowPrograms(started.bound_form(plan, method, inputs)))
+        key = plan, tree, user_code_fingerprint(tree), (*map(ArrayKind.of, leaves), windows.WINDOW)
+
+    def found() -> tuple[Callable[[list], Any], dict]:
+        with as_numbers():  # a run that is known is remembered, and may be asked for within a trace
+            vectors, forms = before_first_window(plan, method, inputs)
+        window, n_turns = np.zeros(windows.WINDOW), np.zeros(2, np.int64)
+        return advance_window.bound_form(plan, method, inputs, forms, vectors, window, n_turns), vectors
+
+    advance, nothing = lru_get(_programs, key, found)
+    return advance, leaves, nothing
 
 
 _programs = LruCache(64)
@@ -166,7 +153,7 @@ def _pace(structure: Structure, rest: Any) -> WindowPace:
 
 
 def _where_it_stopped(times: Float[np.ndarray, " n"], found: tuple) -> str:
-    t_reached, _, _, stats = found
+    t_reached, _, _, stats, _ = found
     return (
         f"simulate: stopped at t = {float(t_reached):.6g} s of {times[-1]:.6g} s, after {int(stats.n_steps):,} steps; "
         "with a ts that ends there the run succeeds"
@@ -302,31 +289,57 @@ def made_alone(plan: Plan, method: RunMethod, job: Job, ts) -> Outcome:
     )
 
 
-@cached_jit(what="the start of a run", options=OF_START)
-def started(plan: Plan, method: RunMethod, inputs: RunInputs) -> tuple[RunCheckpoint, Assembly]:
-    """A run before its first window of samples, and how its start was assembled; its times are those of its ends."""
+class _UnderWay(NamedTuple):
+    """A run between two windows, and how its start was assembled."""
+
+    run: RunUnderWay
+    assembly: Assembly
+
+
+def _started(plan: Plan, method: RunMethod, inputs: RunInputs) -> _UnderWay:
+    """A run before its first window of samples; its times are those of its ends."""
     job, ends = lane_job(plan, method, inputs), inputs.ts
     problem = JobKind.of(plan, method).problem(ends, method.shared)
-    return begun(problem, job.numbers, job.y0, ends, job.may_run, job.status), job.assembly
+    return _UnderWay(begun(problem, job.numbers, job.y0, ends, job.may_run, job.status), job.assembly)
+
+
+@cached_jit(what="the start of a run")
+def before_first_window(plan: Plan, method: RunMethod, inputs: RunInputs) -> RunCheckpoint:
+    """What stands in place of the run under way where a run begins: zeros, and their forms."""
+    nothing = jax.tree.map(jnp.zeros_like, jax.eval_shape(lambda: _started(plan, method, inputs)))
+    return RunCheckpoint.of(nothing)
 
 
 @cached_jit(what="a run", options=options_for)
-def advance_window(plan: Plan, method: RunMethod, ends, forms: Any, vectors, window, n_turns) -> tuple:
-    """Samples of the next window, what else an `Outcome` says at its end but for the assembly, the run's vectors, and
-    the numbers of a `WindowProgress`.
+def advance_window(plan: Plan, method: RunMethod, inputs: RunInputs, forms: Any, vectors, window, n_turns) -> tuple:
+    """Samples of the next window, what else an `Outcome` says at its end, the run's vectors, and the numbers of a
+    `WindowProgress`.
 
     Args:
-        plan, method: as of `started`.
-        ends: times of the start and the end [s].
-        forms, vectors: of the run that is under way.
+        plan, method: what is run.
+        inputs: its numbers; the times are those of its ends.
+        forms, vectors: of the run that is under way; before the first window of `before_first_window`.
         window: sample times [s].
-        n_turns: turns of the loop after which the window ends, whatever is written of it.
+        n_turns: whether the run begins, and after how many turns of the loop the window ends, whatever is written of
+            it.
     """
-    problem = JobKind.of(plan, method).problem(ends, method.shared)
-    made, vectors, progress = run_loop(problem, RunCheckpoint(vectors, forms), ends, window, n_turns)
+    problem = JobKind.of(plan, method).problem(inputs.ts, method.shared)
+
+    def begin() -> _UnderWay:
+        found = _started(plan, method, inputs)
+        return jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.result_type(leaf)), found)
+
+    def window_made() -> tuple:
+        run, assembly = jax.lax.cond(n_turns[0] != 0, begin, RunCheckpoint(vectors, forms).whole)
+        made, run, progress = run_loop(problem, run, inputs.ts, window, n_turns[1])
+        return made, RunCheckpoint.of(_UnderWay(run, assembly)).vectors, progress, assembly
+
+    # Loops around array code are long. To find that out of what is around them as well takes a second.
+    native = in_one_call if in_machine_code(plan) else native_run
+    made, vectors, progress, assembly = native(window_made, problem.in_machine_code)
     ys, t_reached, y_reached, status = (each[0] for each in (made.ys, made.t_reached, made.y_reached, made.status))
     of_it = jax.tree.map(lambda leaf: leaf[0], made._replace(n_lane_steps=made.n_lane_steps[None]))
-    return ys, (t_reached, y_reached, status, statistics(of_it, stages_of(method.rest))), vectors, progress
+    return ys, (t_reached, y_reached, status, statistics(of_it, stages_of(method.rest)), assembly), vectors, progress
 
 
 def differentiable_slopes(plan: Plan, method: RunMethod, inputs: RunInputs, directions) -> RunAndSlopes:

@@ -56,32 +56,32 @@ def joined_rows(parts: Iterator[Any], n: int, shared: int = 0) -> Any:
         return jax.tree.unflatten(tree, jax.device_put(rows, may_alias=True))
 
 
-def placed_rows(parts: Iterator[tuple[int, Any]], n: int) -> Any:
-    """n rows out of overlapping parts: of what two parts have, the first row of the later one is left out.
+def placed_rows(parts: Iterator[tuple[int, int, Any]], n: int) -> Any:
+    """n rows out of parts that overlap by one: the last row of a part is the first of the next, where it is left out.
 
     Args:
-        parts: where a part begins, and an array of some rows; all of the same shape. A part that begins at a row other
-            than the first repeats what has been written there. Its rows behind the beginning of the next part, and
-            those behind the last row, are passed over. What no part has is NaN.
+        parts: where a part begins, how many of its rows are written, and an array of as many rows or more. What no part
+            has is NaN.
         n: rows of the whole.
 
     Returns:
         One of JAX's arrays, in memory that nobody else writes to.
     """
     with as_numbers():
-        _, part = next(parts)
-        first, size = np.asarray(part), part.shape[0]
-        begin, part = next(parts, (None, None))
-        if begin is None and n <= size:
-            # A few rows of a large part would keep all of it in memory: those are copied.
-            return jax.device_put(first[:n], may_alias=True) if 2 * n > size else jnp.asarray(first[:n].copy())
+        _, end, part = next(parts)
+        first, following = np.asarray(part), next(parts, None)
+        if following is None and end == n and 2 * n > len(first):  # fewer rows of a part would keep all of it in memory
+            return jax.device_put(first[:n], may_alias=True)
         rows = _room((n, *first.shape[1:]), first.dtype)
-        rows[:size], end = first[:n], size
-        while begin is not None:
-            rows[begin + 1 : begin + size], end = np.asarray(part)[1 : n - begin], begin + size
-            begin, part = next(parts, (None, None))
+        rows[:end] = first[:end]
+        while following is not None:
+            begin, n_written, part = following
+            end = begin + n_written
+            rows[begin + 1 : end] = np.asarray(part)[1:n_written]
+            following = next(parts, None)
         rows[end:] = np.nan
-        return jax.device_put(rows, may_alias=True)
+        # To copy a few rows takes half of what it takes to hand them over as they are.
+        return jnp.asarray(rows) if n <= len(first) else jax.device_put(rows, may_alias=True)
 
 
 def in_blocks(function: Any, fixed: tuple, size: int, *arrays: Any) -> Any:

@@ -43,14 +43,16 @@ class AccountLayout(NamedTuple):
         size = 4 + 2 * self.n_contacts + self.n_watched + self.n_checks + math.prod(self.shape)
         return jnp.zeros((n_jobs, size)).at[:, _STATUS].set(Status.SOLVER_FAILED)
 
-    def outcome(self, rows: Float[Array, "n_jobs k"], ys: Array, n_lane_steps: Array, ts, t_end) -> LaneOutcome:
-        """What became of the runs, out of their rows, their samples at ts [s], and when they should have ended [s]."""
+    def outcome(
+        self, rows: Float[Array, "n_jobs k"], ys: Array, samples_are_finite: Array, n_lane_steps: Array, t_end
+    ) -> LaneOutcome:
+        """What became of the runs, out of their rows, their samples, and when they should have ended [s]."""
         n = 4 + self.n_contacts
         watched = n + self.n_contacts + self.n_watched
         ends = [_STATUS, n, n + self.n_contacts, watched, watched + self.n_checks]
         t_reached, counts, touching, peaks, audit, y_reached = jnp.split(rows, ends, axis=1)
         status, n_accepted, n_rejected = counts[:, :3].astype(jnp.int64).T
-        are_finite = samples_are_finite(ys, ts, t_end) & jnp.all(jnp.isfinite(y_reached), axis=1)
+        are_finite = samples_are_finite & jnp.all(jnp.isfinite(y_reached), axis=1)
         # Also of a run whose lane succeeded: samples that are not finite, or an end that was not reached, make it a
         # failure.
         status = jax.vmap(end_status, (0, 0, None, 0))(status, t_reached[:, 0], t_end, are_finite)

@@ -19,7 +19,7 @@ from jaxtyping import Array, Bool, Float, Int
 from spherejax.foundations.lanes import in_lanes, with_rows_at
 from spherejax.motion.integration.audit import Watch
 from spherejax.motion.integration.compiling import is_faster_one_by_one, native_run
-from spherejax.motion.integration.lanes.account import AccountLayout, written
+from spherejax.motion.integration.lanes.account import AccountLayout, samples_are_finite, written
 from spherejax.motion.integration.lanes.control import BlockSteps, Repeating, clipped, told_by
 from spherejax.motion.integration.lanes.first_step import N_LOOKS, InitialStepProbe
 from spherejax.motion.integration.lanes.landing import BEHIND, Landing
@@ -324,7 +324,8 @@ class Queue:
         if log is not None and self.log is None:
             log = jax.tree.map(lambda x: x.reshape(self.n_jobs, self.capacity, *x.shape[1:]), log)
         ys = self._with_corrected_samples(carry[3]) if self.corrects_late else carry[3]
-        return account.outcome(carry[2], ys, carry[4], self.ts, self.t_end), log
+        are_finite = samples_are_finite(ys, self.ts, self.t_end)
+        return account.outcome(carry[2], ys, are_finite, carry[4], self.t_end), log
 
     def begun(self) -> Lane:
         """The block at the start of the first jobs."""

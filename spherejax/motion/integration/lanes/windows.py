@@ -17,16 +17,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from spherejax.motion.integration.compiling import native_run
-from spherejax.motion.integration.lanes.account import AccountLayout, samples_are_finite, written
+from spherejax.motion.integration.compiling import uninitialized
+from spherejax.motion.integration.lanes.account import AccountLayout, written
 from spherejax.motion.integration.lanes.engine import Queue
 from spherejax.motion.integration.lanes.first_step import InitialStepProbe
 from spherejax.motion.integration.lanes.lane import Block, Lane, LaneOutcome, LaneProblem, Last, is_busy
 from spherejax.motion.integration.status import Status
 
 WINDOW = 2048
-"""Samples of a window. To begin a run and to pause it take some 0.2 ms each: with windows of 1024, 200,001 samples of a
-four-bar with friction cost a tenth more; with windows of 16,384, a run of few samples does."""
+"""Samples of a window: the rows of an array, of which those are touched that are written."""
 
 
 class RunUnderWay(NamedTuple):
@@ -57,8 +56,8 @@ class RunCheckpoint(NamedTuple):
     forms: Any
 
     @classmethod
-    def of(cls, run: RunUnderWay) -> "RunCheckpoint":
-        """A run that is under way."""
+    def of(cls, run: Any) -> "RunCheckpoint":
+        """A pytree of a run that is under way."""
         leaves, tree = jax.tree.flatten(run)
         arrays = [jnp.asarray(leaf, jnp.result_type(leaf)) for leaf in leaves]
         forms = [_ArrayForm(array.dtype.name, array.shape) for array in arrays]
@@ -69,9 +68,8 @@ class RunCheckpoint(NamedTuple):
         vectors = {kind: jnp.concatenate(each) for kind, each in parts.items()}
         return cls(vectors, jax.tree.unflatten(tree, forms))
 
-    @property
-    def run(self) -> RunUnderWay:
-        """The run under way."""
+    def whole(self) -> Any:
+        """The pytree."""
         forms, tree = jax.tree.flatten(self.forms)
         begin, arrays = dict.fromkeys(self.vectors, 0), []
         for form in forms:
@@ -153,7 +151,7 @@ SHORTEST_TURN = 1e-7
 """Time that a turn takes at least [s]: clocks of some systems have ticks of 16 ms."""
 
 
-def begun(problem: LaneProblem, parameters: Any, y0: Array, ends: Float[Array, "2"], may_run, status) -> RunCheckpoint:
+def begun(problem: LaneProblem, parameters: Any, y0: Array, ends: Float[Array, "2"], may_run, status) -> RunUnderWay:
     """A run before its first window.
 
     Args:
@@ -165,34 +163,20 @@ def begun(problem: LaneProblem, parameters: Any, y0: Array, ends: Float[Array, "
         status: what it reports otherwise.
     """
     parameters, y0, may_run, status = jax.tree.map(lambda x: jnp.asarray(x)[None], (parameters, y0, may_run, status))
-    # As many sample times as any window has; what they are is not asked before the run goes on.
-    times = jnp.full(WINDOW, ends[1]).at[0].set(ends[0])
-
-    def begin() -> RunUnderWay:
-        queue = Queue(problem, parameters, y0, times, may_run, status, Block())
-        lanes = queue.begun()
-        looks = InitialStepProbe.of_nothing(lanes.y) if queue.looks else None
-        return RunUnderWay(lanes, jnp.zeros((), jnp.int64), looks, queue.nothing_last(lanes))
-
-    return RunCheckpoint.of(native_run(begin, problem.in_machine_code))
+    # More than two, as any window has, so that there are states inside steps; what they are is not asked here.
+    times = ends[jnp.array([0, 1, 1])]
+    queue = Queue(problem, parameters, y0, times, may_run, status, Block())
+    lanes = queue.begun()
+    looks = InitialStepProbe.of_nothing(lanes.y) if queue.looks else None
+    return RunUnderWay(lanes, jnp.zeros((), jnp.int64), looks, queue.nothing_last(lanes))
 
 
 def run_loop(
-    problem: LaneProblem,
-    paused: RunCheckpoint,
-    ends: Float[Array, "2"],
-    window: Float[Array, " w"],
-    n_turns: Int[Array, ""],
-) -> tuple[LaneOutcome, dict[str, Array], Int[Array, "3"]]:
-    """What a run is when its window is full, when it has ended, or after a number of turns; the vectors of how it goes
-    on, see `begun`; and the numbers of a `WindowProgress`."""
-
-    def go_on() -> tuple[LaneOutcome, RunUnderWay, Array]:
-        run = paused.run
-        return _Windows(problem, run.lanes, ends, window).gone_on_from(run, n_turns)
-
-    outcome, run, progress = native_run(go_on, problem.in_machine_code)
-    return outcome, RunCheckpoint.of(run).vectors, progress
+    problem: LaneProblem, run: RunUnderWay, ends: Float[Array, "2"], window: Float[Array, " w"], n_turns: Int[Array, ""]
+) -> tuple[LaneOutcome, RunUnderWay, Int[Array, "3"]]:
+    """What a run is when its window is full, when it has ended, or after a number of turns; how it goes on; and the
+    numbers of a `WindowProgress`. Of the samples those are undetermined that are not written."""
+    return _Windows(problem, run.lanes, ends, window).gone_on_from(run, n_turns)
 
 
 class _Windows(Queue):
@@ -211,7 +195,9 @@ class _Windows(Queue):
         last_turn = run.n_lane_steps + n_turns
         lanes = run.lanes._replace(n_samples=jnp.zeros_like(run.lanes.n_samples))
         account = AccountLayout.of(lanes)
-        ys = jnp.full((1, self.ts.shape[0], *self.y0.shape[1:]), jnp.nan).at[:, 0].set(self.y0)
+        # Not filled: of a run of few samples that would take a tenth of its time.
+        room = uninitialized((1, self.ts.shape[0], *self.y0.shape[1:]))
+        ys = jax.lax.dynamic_update_slice(room, self.y0[None], (0,) * room.ndim)
 
         def has_not_ended(lanes, looks):
             is_so = jnp.any(is_busy(lanes, self.n_jobs))
@@ -225,14 +211,12 @@ class _Windows(Queue):
         # The queue is empty: its one job is in its lane already.
         carry = lanes, jnp.asarray(1), account.rows(1), ys, run.n_lane_steps, None, run.looks, run.last
         lanes, _, rows, ys, n_lane_steps, _, looks, last = self.run_loop(busy, carry)
-        # Samples inside steps are corrected here, once for a window; in the loop each turn would have the code.
-        if self.corrects_late:
-            ys = self._corrected(lanes, ys)
-        outcome = account.outcome(rows, ys, n_lane_steps, self.ts, self.t_end)
-        # The windows behind this one do not see its samples: what is wrong with them ends the run here.
-        is_sound = samples_are_finite(ys, self.ts, lanes.t) | (lanes.status != Status.SUCCEEDED)
-        lanes = lanes._replace(status=jnp.where(is_sound, lanes.status, Status.NOT_FINITE))
         n_written = jnp.maximum(lanes.n_samples[0], 1)
+        ys, are_finite = self._looked_through(ys, n_written)
+        outcome = account.outcome(rows, ys, are_finite, n_lane_steps, self.t_end)
+        # The windows behind this one do not see its samples: what is wrong with them ends the run here.
+        is_sound = are_finite | (lanes.status != Status.SUCCEEDED)
+        lanes = lanes._replace(status=jnp.where(is_sound, lanes.status, Status.NOT_FINITE))
         progress = jnp.stack([n_written, has_not_ended(lanes, looks).astype(jnp.int64), n_lane_steps])
         return outcome, RunUnderWay(lanes, n_lane_steps, looks, last), progress
 
@@ -240,16 +224,34 @@ class _Windows(Queue):
         """Write down how far the one run is, whether it has ended or not."""
         return lanes, waiting, written(account, jnp.zeros(1, jnp.int64), lanes)
 
-    def _corrected(self, lanes: Lane, ys):
-        """The samples that were written, corrected but for the end of the motion, which is the end of a step."""
+    def _looked_through(self, ys, n_written) -> tuple[Array, Array]:
+        """The samples that were written, corrected where they are so late, and whether they are finite, shape (1,).
+
+        Samples inside steps are corrected here, once for a window; in the loop each turn would have the code. The end
+        of the motion is the end of a step, and not corrected again.
+        """
         parameters = jax.tree.map(lambda x: x[0], self.parameters)
         correct: Any = self.problem.correct
 
-        def one_more(carry):
-            i, rows = carry
-            found = jnp.where(self.ts[i] == self.t_end, rows[i], correct(parameters, self.ts[i], rows[i]))
-            return i + 1, jax.lax.dynamic_update_index_in_dim(rows, found, i, 0)
+        def is_left(carry):
+            return carry[0] < n_written
 
-        n = jnp.maximum(lanes.n_samples[0], 1)
-        _, rows = jax.lax.while_loop(lambda carry: carry[0] < n, one_more, (jnp.zeros((), jnp.int64), ys[0]))
-        return rows[None]
+        def finite_so_far(i, are_finite, row):
+            return i + 1, are_finite & jnp.all(jnp.isfinite(row))
+
+        def looked_at(carry):
+            i, are_finite = carry
+            return finite_so_far(i, are_finite, ys[0, i])
+
+        def corrected(carry):
+            i, are_finite, ys = carry
+            row = jnp.where(self.ts[i] == self.t_end, ys[0, i], correct(parameters, self.ts[i], ys[0, i]))
+            ys = jax.lax.dynamic_update_slice(ys, row[None, None], (0, i, 0))
+            return *finite_so_far(i, are_finite, row), ys
+
+        begin = jnp.zeros((), jnp.int64), jnp.array(True)
+        if self.corrects_late:
+            _, are_finite, ys = jax.lax.while_loop(is_left, corrected, (*begin, ys))
+        else:
+            _, are_finite = jax.lax.while_loop(is_left, looked_at, begin)
+        return ys, are_finite[None]
