@@ -373,6 +373,34 @@ def test_programs_that_are_too_long_are_refused():
         )
 
 
+def two_layers(v):
+    """A network of 20 x 20 and 1 x 20 weights of its own argument."""
+    return jnp.tanh(v[:400].reshape(20, 20) @ v[420:440]) @ v[400:420]
+
+
+def test_long_sums_of_products_are_counted_apart():
+    """Machine code has them in loops: 840 of 860 operations of a network."""
+    numbers = jnp.asarray(np.random.default_rng(0).standard_normal(440))
+    with pytest.raises(sj.compiler.NotScalarizable, match="more than 100 scalar operations"):
+        sj.compiler.scalarize(two_layers, numbers, maximum_operations=100)
+    with pytest.raises(sj.compiler.NotScalarizable, match="more than 500 scalar operations in sums of products"):
+        sj.compiler.scalarize(two_layers, numbers, maximum_operations=100, maximum_in_sums=500)
+    program = sj.compiler.scalarize(two_layers, numbers, maximum_operations=100, maximum_in_sums=1000)
+    assert program.n_operations - program.n_in_sums < 100
+    np.testing.assert_allclose(program(numbers), two_layers(numbers), rtol=1e-12)
+
+
+def test_products_of_numbers_that_are_spread_out_are_no_sums_for_loops():
+    """The second factor is computed entry by entry, and the first one is every other number."""
+
+    def function(v):
+        return jnp.sum((v[::2].reshape(20, 20) * jnp.cos(v[1::2]).reshape(20, 20)).T @ jnp.sin(v[:20]))
+
+    numbers = jnp.asarray(np.random.default_rng(0).standard_normal(800))
+    with pytest.raises(sj.compiler.NotScalarizable, match="more than 500 scalar operations"):
+        sj.compiler.scalarize(function, numbers, maximum_operations=500, maximum_in_sums=1000)
+
+
 # Folding -------------------------------------------------------------------------------------------------------------
 
 

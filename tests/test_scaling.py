@@ -1,6 +1,7 @@
 """Large systems: work that grows with the number of bodies, the array path, and the switch to it."""
 
 import cases
+import controlling
 import diffrax
 import equinox as eqx
 import jax
@@ -145,6 +146,22 @@ def test_the_path_follows_from_the_size():
     assert f"{programs.largest_scalar_program()} scalar operations" in path_of(large).reason
     assert path_of(large, True) == (True, "scalar program: as asked for", False)
     assert path_of(small, False).scalar is False
+
+
+@pytest.mark.skipif(not programs.native_code.is_available(), reason="no machine code with this jaxlib")
+def test_a_network_of_many_weights_is_no_large_program(monkeypatch):
+    """Its sums of products are loops of machine code: 2,300 of 2,500 operations of 1,185 weights."""
+    network = sj.Network(eqx.nn.MLP(2, "scalar", 32, 2, activation=jnp.tanh, key=jax.random.key(1)))
+    scene = sj.Scene(
+        {"ball": sj.Body(1.0, (1, 1, 1), position=(0.5, 0, 0))}, forces={"law": controlling.NeuralForce(network)}
+    )
+    structure, _ = structure_of(scene)
+    monkeypatch.setattr(programs, "LARGEST_IN_MACHINE_CODE", 1_000)
+    for in_sums, scalar in ((10_000, None), (1_000, False)):
+        monkeypatch.setattr(programs, "LARGEST_IN_SUMS", in_sums)
+        made_program.cache_clear()
+        assert path_of(structure).scalar is scalar
+    made_program.cache_clear()
 
 
 def test_large_scalar_programs_are_compiled_soon_and_a_four_bar_well(monkeypatch):

@@ -9,7 +9,8 @@ import numpy as np
 from jax.extend import core as jex
 
 from spherejax.compiler import private
-from spherejax.compiler.array_operations import ARRAY_OPERATIONS, Use, by_entry
+from spherejax.compiler.array_operations import ARRAY_OPERATIONS, Use, by_entry, both_arranged
+from spherejax.compiler.emit.llvm_sums import SHORTEST
 from spherejax.compiler.graph import Graph, TooManyOperations
 from spherejax.compiler.operations import BOOL, FLOAT, OF_PRIMITIVE, NotScalarizable, graph_dtype, inner_program
 
@@ -19,14 +20,28 @@ the right-hand sides of chains and loops: 1.2 to 1.5)."""
 
 
 class Interpreter:
-    """Follows a jaxpr with arrays of node names, adding nodes to a graph."""
+    """Follows a jaxpr with arrays of node names, adding nodes to a graph.
 
-    def __init__(self, graph: Graph, maximum_operations: int | None = None, *, has_slopes: bool = True):
+    Args:
+        graph: what nodes are added to.
+        maximum_operations: of what is made, at most; None for no limit.
+        maximum_in_sums: operations in long sums of products that are allowed besides.
+        has_slopes: whether derivative rules are followed.
+    """
+
+    def __init__(
+        self,
+        graph: Graph,
+        maximum_operations: int | None = None,
+        maximum_in_sums: int = 0,
+        *,
+        has_slopes: bool = True,
+    ):
         self.graph = graph
         self.has_slopes = has_slopes
-        self.limit = maximum_operations
+        self.limit, self.limit_of_sums = maximum_operations, maximum_in_sums
         self._depth = 0
-        self._n_for_slopes = 0
+        self._n_given, self._n_for_slopes, self._n_in_sums = len(graph.operations), 0, 0
 
     def run(self, jaxpr, constants, arguments: list[np.ndarray]) -> list[np.ndarray]:
         """The names of a jaxpr's outputs."""
@@ -48,9 +63,14 @@ class Interpreter:
             environment.update(zip(equation.outvars, outputs, strict=True))
             # Counted while it grows: a program far above the limit takes minutes to make. What derivative rules give
             # does not count: it is there for those who ask for it.
-            if self.limit is not None and len(self.graph.operations) - self._n_for_slopes > WASTE * self.limit:
+            if self.limit is not None and self._n_made - self._n_for_slopes > WASTE * self.limit:
                 raise TooManyOperations(f"more than {self.limit} scalar operations")
         return [read(atom) for atom in jaxpr.outvars]
+
+    @property
+    def _n_made(self) -> int:
+        """Nodes so far, without what is given and without long sums of products."""
+        return len(self.graph.operations) - self._n_given - self._n_in_sums
 
     def names_of(self, value) -> np.ndarray:
         """The names of an array's entries, constants."""
@@ -84,8 +104,20 @@ class Interpreter:
         if (operation := OF_PRIMITIVE.get(name)) is not None:
             return by_entry(self.graph, operation, inputs, use)
         if (on_arrays := ARRAY_OPERATIONS.get(name)) is not None and on_arrays.names is not None:
+            if name == "dot_general":
+                self._note_sums(parameters, inputs)
             return on_arrays.names(self.graph, inputs, use)
         raise NotScalarizable(f"the operation {name!r} has no scalar rule")
+
+    def _note_sums(self, parameters, inputs: list[np.ndarray]) -> None:
+        """Count a product of arrays that loops may evaluate, ahead of making thousands of nodes for it."""
+        a, b = both_arranged(inputs, parameters)
+        # Products that derivative rules make are among what does not count already.
+        if self.limit is None or not self.limit_of_sums or self._depth or a.shape[2] < SHORTEST:
+            return
+        self._n_in_sums += 2 * a.shape[0] * a.shape[1] * b.shape[1] * a.shape[2]
+        if self._n_in_sums > self.limit_of_sums:
+            raise TooManyOperations(f"more than {self.limit_of_sums} scalar operations in sums of products")
 
     def inlined(self, function, equation, inputs: list[np.ndarray]) -> list[np.ndarray]:
         """The names of what a function gives that stands for an operation."""
@@ -125,9 +157,10 @@ class Interpreter:
 
     def _bound_size(self, values: list[np.ndarray]) -> None:
         """Give up a program of which a part alone is too large, before derivative rules are followed through it."""
-        if self.limit is None or self._depth or len(self.graph.operations) <= self.limit:
+        if self.limit is None or self._depth or self._n_made <= self.limit:
             return
-        if self.graph.count([int(node) for names in values for node in names.ravel()]).total() > self.limit:
+        n_made = self.graph.count([int(node) for names in values for node in names.ravel()]).total()
+        if n_made - self._n_in_sums > self.limit:
             raise TooManyOperations(f"more than {self.limit} scalar operations")
 
     def _slopes(self, jaxpr, equation, inputs: list[np.ndarray], wanted: list) -> list[np.ndarray]:

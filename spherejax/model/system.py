@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, lru_cache, partial
 from typing import Any, NamedTuple
@@ -504,7 +504,7 @@ def numbers_apart(leaves: list, tree: Any) -> tuple[Structure, Float[np.ndarray,
     """The structure of a system that is taken apart, and as of `split` its numbers that are known and where others
     are."""
     known, unknown = split(leaves)
-    special = tuple((i, value) for i, value in special_in(known) if i not in set(unknown))
+    special = _special_but_for(known, unknown)
     return Structure(tree, tuple(map(np.shape, leaves)), special, user_code_fingerprint(tree)), known, unknown
 
 
@@ -534,10 +534,13 @@ def numbers_renewed(
             is_as_special = is_as_special and not any(number in SPECIAL_VALUES for number in numbers)
     if is_as_special:
         return structure, known, tuple(sorted(unknown))
-    special = special_in(known)
-    if unknown:
-        special = [(i, value) for i, value in special if i not in set(unknown)]
-    return structure.for_special(tuple(special)), known, tuple(sorted(unknown))
+    return structure.for_special(_special_but_for(known, unknown)), known, tuple(sorted(unknown))
+
+
+def _special_but_for(known: Float[np.ndarray, " p"], unknown: Collection[int]) -> tuple[tuple[int, float], ...]:
+    """Numbers that are special, by their places, but for those that are not known."""
+    hidden = set(unknown)
+    return tuple((i, value) for i, value in special_in(known) if i not in hidden)
 
 
 def traced_numbers(leaves: list) -> Float[Array, " n_unknown"]:

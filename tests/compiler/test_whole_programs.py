@@ -6,8 +6,14 @@ import numpy as np
 import pytest
 
 from spherejax.compiler import native_code, scalarize
-from spherejax.compiler.emit.llvm_arrays import ChangedInPlaceError, InPlace, TooManyEntriesError, within_limits
-from spherejax.compiler.native import loop_fusion
+from spherejax.compiler.emit.llvm_arrays import (
+    LARGEST_STACK,
+    ChangedInPlaceError,
+    InPlace,
+    TooManyEntriesError,
+    within_limits,
+)
+from spherejax.compiler.native import loop_fusion, loops
 from spherejax.compiler.native.loops import LOOP
 from spherejax.compiler.native.uninitialized import uninitialized
 
@@ -188,6 +194,36 @@ def test_places_that_are_added_to_twice_are_left_to_xla(caplog):
 
     assert_same(jax.jit(one_call(function))(Y, MANY), jax.jit(function)(Y, MANY))
     assert "adds twice in one place" in caplog.text
+
+
+@pytest.mark.parametrize("is_mapped", [False, True])
+def test_arrays_that_the_stack_has_no_room_for_are_in_a_result_that_nobody_sees(monkeypatch, is_mapped):
+    """A loop within and what is around it compute with thousands of numbers."""
+
+    def turned(x):
+        return jnp.concatenate([x[1000:], x[:1000]])
+
+    def function(y, x):
+        def turn(state):
+            i, x = state
+            return i + 1, jnp.sin(turned(x)) * y[0] + x
+
+        _, x = jax.lax.while_loop(lambda s: s[0] < 3, turn, (0, jnp.cos(x) + y[2]))
+        return jnp.sqrt(x * x) + turned(x), jnp.max(x)
+
+    many = jnp.linspace(0.0, 1.0, 5000)
+    several = jnp.stack([Y, 2 * Y, -Y]) if is_mapped else Y
+
+    def mapped(function):
+        return jax.vmap(function, (0, None)) if is_mapped else function
+
+    expected = jax.jit(mapped(function))(several, many)
+    for largest, has_room in ((LARGEST_STACK, False), (2**14, True)):
+        monkeypatch.setattr(loops, "LARGEST_STACK", largest)
+        made = one_call(function)
+        (call,) = jax.make_jaxpr(made)(Y, many).jaxpr.eqns
+        assert (call.params["written"].n_room > 0) == has_room
+        assert_same(jax.jit(mapped(made))(several, many), expected, rtol=1e-12)
 
 
 def test_limits():

@@ -6,6 +6,7 @@ megabyte of them, most of which are read once and soon.
 
 import re
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 from spherejax.compiler.emit.llvm_arrays import NotWrittenError
 
@@ -17,24 +18,39 @@ _POINTER = re.compile(r"\s*(%[\w.]+) = getelementptr .*?, ptr (%[\w.]+),")
 _LABEL = re.compile(r"label %([\w.]+)")
 
 
-def shared_room(sizes: Mapping[str, int], lines: Sequence[str], largest: int) -> list[str]:
+class SharedRoom(NamedTuple):
     """Instructions that give arrays their places, to stand at the beginning of the function.
+
+    Attributes:
+        lines: the instructions.
+        n_bytes: of room that the function is to be given, because the stack has too little; 0 where it is on the stack.
+    """
+
+    lines: list[str]
+    n_bytes: int
+
+
+def shared_room(sizes: Mapping[str, int], lines: Sequence[str], largest: int, given: str | None = None) -> SharedRoom:
+    """Places for the arrays of a function.
 
     Args:
         sizes: bytes of the arrays by name.
         lines: of the function, behind its beginning.
-        largest: bytes of all places together, at most.
+        largest: bytes of all places together on the stack, at most.
+        given: the name of a pointer to room elsewhere, which is taken where that is too little; None for no such room.
 
     Raises:
         NotWrittenError: if they need more.
     """
     offsets, total = _packed(sizes, _uses(sizes, lines))
-    if total > largest:
-        raise NotWrittenError(f"arrays of {total} bytes that do not fit the stack")
     if not offsets:
-        return []
+        return SharedRoom([], 0)
+    if total > largest and given is None:
+        raise NotWrittenError(f"arrays of {total} bytes that do not fit the stack")
+    is_on_stack = total <= largest
+    arena = f"alloca [{total} x i8], align 64" if is_on_stack else f"getelementptr inbounds i8, ptr {given}, i64 0"
     places = [f"  {name} = getelementptr inbounds i8, ptr %arena, i64 {at}" for name, at in offsets.items()]
-    return [f"  %arena = alloca [{total} x i8], align 64", *places]
+    return SharedRoom([f"  %arena = {arena}", *places], 0 if is_on_stack else total)
 
 
 def _packed(sizes: Mapping[str, int], uses: Mapping[str, tuple[int, int]]) -> tuple[dict[str, int], int]:

@@ -17,11 +17,10 @@ from spherejax.compiler.emit.llvm_vectors import spread_out
 LARGE = 4096
 """Entries of an array that is changed in place; smaller ones are copied."""
 
-LARGEST_COPIED = 2**15
+LARGEST_COPIED = 2**18
 """The same limit, of a loop that computes with such arrays entry by entry: derivatives by the weights of a network.
 
-A gradient by 4,417 weights takes two thirds of the time that it takes with a loop of XLA's. The stack of such a loop
-(`LARGEST_STACK_OF_MANY`) has room for some 17,000."""
+A gradient by 4,417 weights takes two thirds of the time that it takes with a loop of XLA's."""
 
 LARGEST_WRITTEN_OUT = 1024
 """Entries of an array that operations are written out for, at most; for more, and fewer than `LARGE`, there are loops.
@@ -30,9 +29,6 @@ and Andrews' mechanism more of both."""
 
 LARGEST_STACK = 2**19
 """Bytes of arrays on the stack, at most: a thread of XLA's pool has a few megabytes."""
-
-LARGEST_STACK_OF_MANY = 2**20
-"""The same, where arrays of thousands of numbers are computed with."""
 
 MOST_PIECES = 128
 """Pieces of other arrays that a large one may be moved together from, at most: each is a loop of its own."""
@@ -159,7 +155,6 @@ class ArrayText:
         largest_written_out, large: see `LARGEST_WRITTEN_OUT` and `LARGE`.
         largest_by_entry: entries of an array that is computed entry by entry, at most; None for less than `large`.
         smallest_shared: bytes of an array that gets no place of its own, at least.
-        largest_stack: see `LARGEST_STACK`.
 
     Attributes:
         shared: bytes of these arrays, by name.
@@ -171,9 +166,7 @@ class ArrayText:
         largest_by_entry: int | None = None,
         smallest_shared: float = math.inf,
         large: int = LARGE,
-        largest_stack: int = LARGEST_STACK,
     ) -> None:
-        self._largest_stack = largest_stack
         self.large, self._largest_written_out = large, largest_written_out
         self._largest_by_entry = large - 1 if largest_by_entry is None else largest_by_entry
         self._smallest_shared = smallest_shared
@@ -217,8 +210,9 @@ class ArrayText:
             self.shared[name] = n_bytes
             return Value(tuple(shape), kind, name, Memory(is_own=True))
         self._bytes += n_bytes
-        if self._bytes > self._largest_stack:
-            raise NotWrittenError("arrays that do not fit the stack")
+        if self._bytes > LARGEST_STACK:
+            # Where thousands of numbers are computed with, arrays share room, and may have it elsewhere.
+            raise TooManyEntriesError("arrays that do not fit the stack")
         self.room.append(f"  {name} = alloca [{max(size, 1)} x {stored_as(kind)}], align 64")
         return Value(tuple(shape), kind, name, Memory(is_own=True))
 

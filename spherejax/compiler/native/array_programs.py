@@ -250,7 +250,7 @@ class ProgramText(LoopText):
         results = self.program(jex.ClosedJaxpr(self.jaxpr, self.constants), values)
         for i, (value, aval) in enumerate(zip(results, self.results, strict=True)):
             self._result(self.forced(value), aval, f"%r{i}")
-        room = [*text.room, *shared_room(text.shared, text.lines, LARGEST_STACK)]
+        room = [*text.room, *shared_room(text.shared, text.lines, LARGEST_STACK).lines]
         body = [*room, *self._at_begin, *text.lines, "  ret ptr null", "}", ""]
         begin = head(len(self.avals), len(self.results))
         return "\n".join([*text.declared, *text.outside, *self._functions, begin, *body])

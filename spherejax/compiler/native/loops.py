@@ -22,12 +22,12 @@ from jax.interpreters import mlir
 from spherejax.compiler import private
 from spherejax.compiler.array_operations import ARRAY_OPERATIONS, written_by_entry
 from spherejax.compiler.emit.llvm import FunctionText, head
+from spherejax.compiler.emit.llvm_arena import SMALLEST_SHARED, shared_room
 from spherejax.compiler.emit.llvm_arrays import (
     BY_SIZE,
     LARGE,
     LARGEST_COPIED,
     LARGEST_STACK,
-    LARGEST_STACK_OF_MANY,
     ArrayText,
     ChangedInPlaceError,
     InPlace,
@@ -74,7 +74,8 @@ def looped(parameters: Any, values: Sequence[Any]) -> list[Any]:
 
 def bound(arrays: Sequence[Any], written: "WrittenLoop", results: Sequence[Any]) -> list[Any]:
     """The results of a function that is written, from arrays."""
-    return loop_primitive.bind(*arrays, written=written, results=tuple(results))
+    room = [ShapedArray((written.n_room,), np.float64)] if written.n_room else []
+    return loop_primitive.bind(*arrays, written=written, results=(*results, *room))[: len(results)]
 
 
 def _large_for(parameters: Any, results: Sequence[Any]) -> int:
@@ -95,12 +96,15 @@ class WrittenLoop(NamedTuple):
         text: of the function.
         called: names of other machine code that it calls.
         in_place: arguments that XLA may give away to be changed in place, each with the result that it becomes.
-        rooms: those among them whose numbers nobody reads, neither before nor behind.
+        n_room: numbers that it has to have room for in one more result, which nobody reads: arrays that it computes
+            with and the stack has no room for.
+        rooms: those among `in_place` whose numbers nobody reads, neither before nor behind.
     """
 
     text: str
     called: tuple[str, ...]
     in_place: tuple[tuple[int, int], ...]
+    n_room: int = 0
     rooms: tuple[int, ...] = ()
 
 
@@ -160,8 +164,10 @@ class LoopText:
 
     def __init__(self, parameters: Any, avals: Sequence[Any], results: Sequence[Any], limits: InPlace = BY_SIZE):
         self.parameters, self.avals, self.results = parameters, avals, results
-        stack = LARGEST_STACK if limits.large <= LARGE else LARGEST_STACK_OF_MANY
-        self.text, self._has_rooms = ArrayText(large=limits.large, largest_stack=stack), limits.has_rooms
+        # Where arrays are small LLVM finds places for them, and sooner.
+        shared = {} if limits.large <= LARGE else {"smallest_shared": SMALLEST_SHARED}
+        self.text, self._has_rooms = ArrayText(large=limits.large, **shared), limits.has_rooms
+        self._n_room = 0
         self.called: dict[str, None] = {}
         self.in_place: list[tuple[int, int]] = []
         self._calls_arrays = False
@@ -172,7 +178,8 @@ class LoopText:
 
     def whole(self) -> WrittenLoop:
         """The loop, to be called."""
-        return WrittenLoop(self.written(), tuple(self.called), tuple(self.in_place))
+        text = self.written()
+        return WrittenLoop(text, tuple(self.called), tuple(self.in_place), self._n_room)
 
     def written(self) -> str:
         """The text of a function that XLA calls."""
@@ -194,10 +201,17 @@ class LoopText:
         finals = self.loop(self.parameters, values, slots)
         for i, (value, aval) in enumerate(zip(finals, self.results, strict=True)):
             self._result(value, aval, f"%r{i}")
+        return self._with_room()
+
+    def _with_room(self) -> str:
+        """The text, with room for its arrays."""
+        text, n_results = self.text, len(self.results)
+        shared = shared_room(text.shared, text.lines, LARGEST_STACK, f"%r{n_results}")
+        self._n_room = -(-shared.n_bytes // 8)
         # Room first: an `alloca` within the loop would take more of the stack in each turn.
-        lines = [*text.room, *self._at_begin, *text.lines, "  ret ptr null", "}", ""]
-        begin_of_all = head(len(self.avals), len(self.results))
-        return "\n".join([*text.declared, *text.outside, *self._functions, begin_of_all, *lines])
+        lines = [*text.room, *shared.lines, *self._at_begin, *text.lines, "  ret ptr null", "}", ""]
+        begin = head(len(self.avals), n_results + (1 if self._n_room else 0))
+        return "\n".join([*text.declared, *text.outside, *self._functions, begin, *lines])
 
     def _copy_elsewhere(self, source: Value, target: Value) -> None:
         """A large array into its result, unless XLA has made both the same place in memory."""

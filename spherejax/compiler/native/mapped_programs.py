@@ -49,6 +49,7 @@ def _of_many(arguments: Sequence, dims: Sequence, *, written: WrittenLoop, resul
     is_mapped = tuple(dim is not None for dim in dims)
     front = [jax.numpy.moveaxis(x, dim, 0) if dim is not None else x for x, dim in zip(arguments, dims, strict=True)]
     rooms = tuple(r for a, r in written.in_place if a in written.rooms and dims[a] is None)
+    rooms += (len(results) - 1,) if written.n_room else ()
     n_threads = max(1, min(n, _n_processors(), MOST_THREADS))
     made = _mapped.bind(
         *front, written=written, results=results, n=n, is_mapped=is_mapped, rooms=rooms, n_threads=n_threads

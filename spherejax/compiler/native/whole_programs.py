@@ -19,10 +19,8 @@ from jax.extend import core as jex
 from jax.interpreters.partial_eval import dce_jaxpr
 
 from spherejax.compiler.array_operations import of_constants
-from spherejax.compiler.emit.llvm import head
-from spherejax.compiler.emit.llvm_arena import SMALLEST_SHARED, shared_room
+from spherejax.compiler.emit.llvm_arena import SMALLEST_SHARED
 from spherejax.compiler.emit.llvm_arrays import (
-    LARGEST_STACK,
     ArrayText,
     InPlace,
     Memory,
@@ -193,10 +191,7 @@ class WholeText(LoopText):
         results = self.evaluated(self._equations, self._aliases.results, environment)
         for i, (value, aval) in enumerate(zip(results, self.results, strict=True)):
             self._result(text.checked(value), aval, f"%r{i}")
-        room = [*text.room, *shared_room(text.shared, text.lines, LARGEST_STACK)]
-        body = [*room, *self._at_begin, *text.lines, "  ret ptr null", "}", ""]
-        begin = head(len(self.avals), len(self.results))
-        return "\n".join([*text.declared, *text.outside, *self._functions, begin, *body])
+        return self._with_room()
 
     def equation(self, equation: Any, values: list[Value]) -> list[Value]:
         """The results of an operation."""

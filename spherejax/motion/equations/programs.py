@@ -45,6 +45,13 @@ with 51,000. Array code was XLA's then. As machine code it compiles sooner with 
 (on a busy machine). A run takes as long as by scalar programs, its gradient up to twice that: single runs are made by
 it from `SMALLEST_ALONE` on. Many runs at once go by XLA still, which takes up to nine times as long."""
 
+LARGEST_IN_SUMS = 300_000
+"""Scalar operations that may be in long sums of products besides, as those of a network's weights: machine code has them
+in loops, whose text is no longer for more of them.
+
+To make a program of them takes 30 us for each. A run with a force by 66,817 weights (134,000 operations) takes 0.43 ms,
+on array code 12.9 ms (`benchmarks/many_numbers.py --large`)."""
+
 SMALLEST_ALONE, ALIKE = 14_000, 8
 """A single run is on array code from so many scalar operations on, and from so many joints of each kind: the text of
 array code grows with the kinds, and not with the joints.
@@ -260,10 +267,11 @@ def _scalar_program(
     of_numbers.__name__ = function.__name__
     fixed = {(0, index): value for index, value in structure.special}
     sizes = jax.tree.map(lambda x: x.shape, state)
-    key = disk_cache.key_for("scalar program", function, structure, sizes, n_ahead, limit, is_computed)
+    in_sums = LARGEST_IN_SUMS if native_code.is_available() and not is_computed else 0
+    key = disk_cache.key_for("scalar program", function, structure, sizes, n_ahead, limit, in_sums, is_computed)
     made = partial(
         scalarize, of_numbers, shapes, number, state, fixed=fixed, n_ahead=n_ahead, maximum_operations=limit,
-        has_slopes=not is_computed,
+        maximum_in_sums=in_sums, has_slopes=not is_computed,
     )  # fmt: skip
     return disk_cache.load_or_make(key, made, ScalarProgram)
 

@@ -87,10 +87,19 @@ class Plan:
 
     def theta(self, values: Float[Array, " n_unknown"], known: Float[Array, " p"]) -> Float[Array, " p"]:
         """All numbers of the system, from those that are traced and those that are known."""
-        n = len(self.unknown)
-        if self.unknown and self.unknown == tuple(range(self.unknown[0], self.unknown[0] + n)):
-            # Side by side, as the weights of a network: to pick 4,417 one by one took a seventh of their gradient.
-            return jnp.concatenate([known[: self.unknown[0]], values[:n], known[self.unknown[0] + n :]])
+        if not self.unknown:
+            return jnp.asarray(known)
+        runs = _runs_of(self.unknown)
+        if len(runs) <= FEW_RUNS:
+            # Piece by piece, as the weights of a network: to pick 4,417 one by one took a seventh of their gradient.
+            # Split, not sliced: the derivative of a slice is a vector of its own, nearly all of it zeros.
+            sizes = [n for _, n in runs]
+            pieces = jax.lax.split(values, [*sizes, values.shape[0] - sum(sizes)])
+            parts, end = [], 0
+            for (first, n), piece in zip(runs, pieces, strict=False):  # behind them is the rest of the values
+                parts += [known[end:first], piece]
+                end = first + n
+            return jnp.concatenate([part for part in (*parts, known[end:]) if part.shape[0]])
         # Picked, not scattered: XLA:CPU (jax 0.10) aborts when it compiles the derivative of a scatter that it fuses.
         source = np.arange(known.shape[0])
         source[list(self.unknown)] = known.shape[0] + np.arange(len(self.unknown))
@@ -123,6 +132,18 @@ class Plan:
     def _arrays(self) -> Int[np.ndarray, " n_unknown"]:
         """Indices of the arrays that the traced numbers belong to, ascending from 0."""
         return _arrays_of(self.structure, self.unknown)
+
+
+FEW_RUNS = 16
+"""Runs of numbers that are traced, up to which these are put between the known ones piece by piece."""
+
+
+@lru_cache(maxsize=64)
+def _runs_of(unknown: tuple[int, ...]) -> tuple[tuple[int, int], ...]:
+    """Where numbers stand side by side: the first of each run, and how many."""
+    at = np.asarray(unknown)
+    begins = np.flatnonzero(np.diff(at, prepend=at[0] - 2) != 1)
+    return tuple(zip(at[begins].tolist(), np.diff([*begins, at.size]).tolist(), strict=True))
 
 
 @lru_cache(maxsize=64)
