@@ -9,7 +9,7 @@ import numpy as np
 from jax.extend import core as jex
 
 from spherejax.compiler import private
-from spherejax.compiler.array_operations import ARRAY_OPERATIONS, Use, by_entry, both_arranged
+from spherejax.compiler.array_operations import ARRAY_OPERATIONS, Use, both_arranged, by_entry
 from spherejax.compiler.emit.llvm_sums import SHORTEST
 from spherejax.compiler.graph import Graph, TooManyOperations
 from spherejax.compiler.operations import BOOL, FLOAT, OF_PRIMITIVE, NotScalarizable, graph_dtype, inner_program

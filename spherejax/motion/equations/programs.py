@@ -46,8 +46,8 @@ with 51,000. Array code was XLA's then. As machine code it compiles sooner with 
 it from `SMALLEST_ALONE` on. Many runs at once go by XLA still, which takes up to nine times as long."""
 
 LARGEST_IN_SUMS = 300_000
-"""Scalar operations that may be in long sums of products besides, as those of a network's weights: machine code has them
-in loops, whose text is no longer for more of them.
+"""Scalar operations that may be in long sums of products besides, as those of a network's weights: machine code has
+them in loops, whose text is no longer for more of them.
 
 To make a program of them takes 30 us for each. A run with a force by 66,817 weights (134,000 operations) takes 0.43 ms,
 on array code 12.9 ms (`benchmarks/many_numbers.py --large`)."""
