@@ -654,9 +654,13 @@ def test_damaged_machine_code_is_made_anew(tmp_path):
     assert again == number
 
 
-@pytest.mark.parametrize(("n", "is_written"), [(1000, True), (1205, True), (4093, True), (5000, True), (40_000, False)])
+@pytest.mark.parametrize(
+    ("n", "is_written"),
+    [(1000, True), (1205, True), (4093, True), (5000, True), (40_000, True), (300_000, False)],
+)
 def test_arrays_of_many_entries_in_a_loop(small_ones_too, n, is_written):
-    """As loops of their own; where they are larger the loop is left as it is."""
+    """As loops of their own, from 40,000 on with room beside the stack; where they are larger the loop is left as it
+    is."""
 
     def run(rate):
         def turn(state):

@@ -244,7 +244,7 @@ def test_arrays_share_a_place_unless_they_are_in_use_together():
         "  store double %x, ptr %c, align 8",
         "  %y = load double, ptr %b, align 8",
     ]
-    found = offsets(shared_room({"%a": 640, "%b": 640, "%c": 640}, lines, 10_000))
+    found = offsets(shared_room({"%a": 640, "%b": 640, "%c": 640}, lines, 10_000).lines)
     assert found["%a"] == found["%c"]
     assert abs(found["%a"] - found["%b"]) >= 640
 
@@ -257,7 +257,7 @@ def test_an_array_that_is_in_use_in_a_loop_is_in_use_in_all_of_it():
         "  br i1 %more, label %turn1, label %end2",
         "end2:",
     ]
-    found = offsets(shared_room({"%a": 640, "%b": 640}, lines, 10_000))
+    found = offsets(shared_room({"%a": 640, "%b": 640}, lines, 10_000).lines)
     assert abs(found["%a"] - found["%b"]) >= 640
 
 
@@ -268,10 +268,13 @@ def test_arrays_in_a_frame_are_in_use_until_the_call():
         "  %n = call ptr @function(ptr %frame)",
         "  %x = load double, ptr %r, align 8",
     ]
-    found = offsets(shared_room({"%a": 640, "%r": 640}, lines, 10_000))
+    found = offsets(shared_room({"%a": 640, "%r": 640}, lines, 10_000).lines)
     assert abs(found["%a"] - found["%r"]) >= 640
 
 
 def test_arrays_that_do_not_fit_are_refused():
     with pytest.raises(NotWrittenError, match="stack"):
         shared_room({"%a": 640}, ["  store double 0.0, ptr %a, align 8"], 100)
+    given = shared_room({"%a": 640}, ["  store double 0.0, ptr %a, align 8"], 100, "%elsewhere")
+    assert given.n_bytes == 640
+    assert "ptr %elsewhere" in given.lines[0]

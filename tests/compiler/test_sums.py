@@ -8,7 +8,7 @@ import pytest
 from spherejax.compiler import native_code, scalarize
 from spherejax.compiler.emit import llvm_sums
 from spherejax.compiler.emit.llvm import FunctionText
-from spherejax.compiler.emit.llvm_sums import FEWEST_DOTS, SHORTEST
+from spherejax.compiler.emit.llvm_sums import FEWEST_DOTS, SHORTEST, columns_ahead
 
 
 @pytest.fixture(autouse=True)
@@ -64,6 +64,28 @@ def test_a_matrix_times_a_vector(n, m):
     assert [kinds_of(one)[0] for one in (line, derivative.slopes)] == [of_rows, of_rows]
     of_sums = set() if n < SHORTEST else {"dot"} if m == 1 else {"columns"} if m >= SHORTEST else set()
     assert kinds_of(back)[0] == of_sums | ({"row"} if m >= SHORTEST or (m == 1 and n >= SHORTEST) else set())
+
+
+@pytest.mark.parametrize("entry", range(9))
+@pytest.mark.parametrize(("n", "m"), [(16, 16), (19, 24), (24, 40), (9, 64), (17, 19)])
+def test_a_matrix_that_begins_anywhere_in_a_cache_line(entry, n, m):
+    """What stands around it in its array is not part of any sum."""
+    flat = numbers(entry + n * m + 9).at[:entry].set(jnp.nan).at[entry + n * m :].set(jnp.nan)
+
+    def function(flat, x):
+        return flat[entry : entry + n * m].reshape(n, m) @ x
+
+    program, x = scalarize(function, flat, numbers(m)), numbers(m, seed=1)
+    np.testing.assert_allclose(jax.jit(program)(flat, x), function(flat, x), rtol=0, atol=1e-14 * m)
+    cotangent = numbers(n, seed=2)
+    back = jax.jit(lambda x: jax.vjp(lambda x: program(flat, x), x)[1](cotangent)[0])(x)
+    np.testing.assert_allclose(back, cotangent @ flat[entry : entry + n * m].reshape(n, m), rtol=0, atol=1e-14 * n)
+
+
+def test_columns_ahead_of_a_cache_line():
+    assert [columns_ahead(entry, 16, 16) for entry in (0, 1, 7, 8, 12)] == [0, 7, 1, 0, 4]
+    assert columns_ahead(1, 17, 17) == 0  # each row begins elsewhere in its line
+    assert columns_ahead(1, 8, 8) == 0  # no whole vector would be left
 
 
 def test_the_text_grows_with_the_rows_of_a_matrix_and_not_with_its_columns():

@@ -24,6 +24,7 @@ from spherejax.compiler.emit.llvm_sums import (
     MultipleRow,
     WeightedSum,
     beside,
+    columns_ahead,
     deferred_rows,
     loops_of,
 )
@@ -381,13 +382,16 @@ class FunctionText:
     def _together(self, whole: Columns | Dots) -> str:
         """A pointer to all of these sums, which are evaluated when the first of them is asked for."""
         if whole not in self._arrays:
-            name, texts = ("columns", [COLUMNS]) if isinstance(whole, Columns) else ("dots", [DOT, DOTS])
-            self.declared.update(dict.fromkeys(texts))
             matrix, factors = self._entry(whole.first), self._array(whole.others)
             sums = self._room(whole.n)
+            name, texts, n_columns = "dots", [DOT, DOTS], len(whole.others)
+            if isinstance(whole, Columns):
+                name, texts, n_columns = "columns", [COLUMNS], whole.n
+            self.declared.update(dict.fromkeys(texts))
+            ahead = columns_ahead(whole.first[1], whole.stride, n_columns)
             self.lines.append(
                 f"  call void @spherejax.{name}(ptr {matrix}, i64 {whole.stride}, ptr {factors}, "
-                f"i64 {len(whole.others)}, ptr {sums}, i64 {whole.n})"
+                f"i64 {len(whole.others)}, ptr {sums}, i64 {whole.n}, i64 {ahead})"
             )
             self._arrays[whole] = sums
         return self._arrays[whole]

@@ -522,24 +522,67 @@ def _eight_sums(vectors: Sequence[str], name: str) -> list[str]:
     return lines
 
 
-def _dots_text() -> str:
-    """Eight sums at a time, each in eight parts."""
-    rows = range(8)
-    one_more = [
-        line
-        for r in rows
-        for line in (
-            f"  %q{r} = getelementptr inbounds double, ptr %w{r}, i64 %l",
-            f"  %y{r} = load double, ptr %q{r}, align 8",
-            f"  %z{r} = insertelement {_EIGHT} {f'%z{r - 1}' if r else 'poison'}, double %y{r}, i64 {r}",
-        )
+_LANES = "<i64 0, i64 1, i64 2, i64 3, i64 4, i64 5, i64 6, i64 7>"
+
+CACHE_LINE = 8
+"""Numbers of it. A vector that lies in two of them takes two reads: products of a matrix and a vector then take half
+as long again."""
+
+
+def columns_ahead(entry: int, stride: int, n: int) -> int:
+    """So many columns of a matrix stand ahead of the first one that begins a cache line, in each of its rows.
+
+    Args:
+        entry: where it begins in an array, which begins with a cache line.
+        stride: distance of its rows; of rows that begin elsewhere in their lines there are none.
+        n: its columns.
+    """
+    return -entry % CACHE_LINE if stride % CACHE_LINE == 0 and n >= 2 * CACHE_LINE else 0
+
+
+def _lanes(name: str, operation: str, limit: str) -> list[str]:
+    """`name`: which of eight lanes compare so with a number."""
+    return [
+        f"  {name}.i = insertelement <8 x i64> poison, i64 {limit}, i64 0",
+        f"  {name}.v = shufflevector <8 x i64> {name}.i, <8 x i64> poison, <8 x i32> zeroinitializer",
+        f"  {name} = icmp {operation} <8 x i64> {_LANES}, {name}.v",
     ]
+
+
+def _eight_products(p: str, before: str, at: str, factors: str) -> list[str]:
+    """Eight rows at the column `at` times a vector, added to the vectors of the names `before`: `%{p}0` and so on."""
+    rows = range(8)
+    return [
+        *(f"  %p{p}{r} = getelementptr inbounds double, ptr %w{r}, i64 {at}" for r in rows),
+        *(f"  %x{p}{r} = load {_EIGHT}, ptr %p{p}{r}, align 8" for r in rows),
+        *(f"  %m{p}{r} = fmul contract {_EIGHT} %x{p}{r}, {factors}" for r in rows),
+        *(f"  %{p}{r} = fadd contract {_EIGHT} {before}{r}, %m{p}{r}" for r in rows),
+    ]
+
+
+def _dots_text() -> str:
+    """Eight sums at a time, each in eight parts. What is ahead of the first whole vector, and behind the last one, is a
+    vector as well, whose other factors are zeros."""
+    rows = range(8)
     return "\n".join(
         [
             "define internal void @spherejax.dots("
-            f"ptr %w, i64 %stride, ptr %b, i64 %n, ptr noalias %y, i64 %m) {WIDE} {{",
+            f"ptr %w, i64 %stride, ptr %b, i64 %n, ptr noalias %y, i64 %m, i64 %ahead) {WIDE} {{",
             "work:",
-            "  %whole = and i64 %n, -8",
+            "  %n.inside = sub nuw nsw i64 %n, %ahead",
+            "  %n.whole = and i64 %n.inside, -8",
+            "  %whole = add nuw nsw i64 %n.whole, %ahead",
+            "  %is.ahead = icmp ne i64 %ahead, 0",
+            f"  %b.first = load {_EIGHT}, ptr %b, align 8",
+            *_lanes("%of.first", "ult", "%ahead"),
+            f"  %f.first = select <8 x i1> %of.first, {_EIGHT} %b.first, {_EIGHT} zeroinitializer",
+            "  %is.behind = icmp ult i64 %whole, %n",
+            "  %last = sub nuw nsw i64 %n, 8",
+            "  %p.last = getelementptr inbounds double, ptr %b, i64 %last",
+            f"  %b.last = load {_EIGHT}, ptr %p.last, align 8",
+            "  %n.known = sub nuw nsw i64 %whole, %last",
+            *_lanes("%of.last", "uge", "%n.known"),
+            f"  %f.last = select <8 x i1> %of.last, {_EIGHT} %b.last, {_EIGHT} zeroinitializer",
             "  br label %look",
             "look:",
             "  %j = phi i64 [0, %work], [%j.next, %put]",
@@ -550,40 +593,33 @@ def _dots_text() -> str:
             "  %begin0 = mul nuw nsw i64 %j, %stride",
             *(f"  %begin{r} = add nuw nsw i64 %begin{r - 1}, %stride" for r in rows[1:]),
             *(f"  %w{r} = getelementptr inbounds double, ptr %w, i64 %begin{r}" for r in rows),
+            "  br i1 %is.ahead, label %first, label %inside",
+            "first:",
+            *(f"  %none{r} = fadd {_EIGHT} zeroinitializer, zeroinitializer" for r in rows),
+            *_eight_products("a", "%none", "0", "%f.first"),
+            "  br label %inside",
+            "inside:",
+            *(f"  %begun{r} = phi {_EIGHT} [zeroinitializer, %rows], [%a{r}, %first]" for r in rows),
             "  br label %loop",
             "loop:",
-            "  %k = phi i64 [0, %rows], [%k.next, %loop]",
-            *(f"  %s{r} = phi {_EIGHT} [zeroinitializer, %rows], [%t{r}, %loop]" for r in rows),
+            "  %k = phi i64 [%ahead, %inside], [%k.next, %loop]",
+            *(f"  %s{r} = phi {_EIGHT} [%begun{r}, %inside], [%t{r}, %loop]" for r in rows),
             "  %p = getelementptr inbounds double, ptr %b, i64 %k",
             f"  %x = load {_EIGHT}, ptr %p, align 8",
-            *(f"  %p{r} = getelementptr inbounds double, ptr %w{r}, i64 %k" for r in rows),
-            *(f"  %x{r} = load {_EIGHT}, ptr %p{r}, align 8" for r in rows),
-            *(f"  %m{r} = fmul contract {_EIGHT} %x{r}, %x" for r in rows),
-            *(f"  %t{r} = fadd contract {_EIGHT} %s{r}, %m{r}" for r in rows),
+            *_eight_products("t", "%s", "%k", "%x"),
             "  %k.next = add nuw nsw i64 %k, 8",
             "  %goes.on = icmp ult i64 %k.next, %whole",
-            "  br i1 %goes.on, label %loop, label %parts",
-            "parts:",
-            *_eight_sums([f"%t{r}" for r in rows], "%sums"),
-            "  br label %more",
-            "more:",
-            "  %l = phi i64 [%whole, %parts], [%l.next, %turn]",
-            f"  %so.far = phi {_EIGHT} [%sums, %parts], [%with, %turn]",
-            "  %is.more = icmp ult i64 %l, %n",
-            "  br i1 %is.more, label %turn, label %put",
-            "turn:",
-            *one_more,
-            "  %q = getelementptr inbounds double, ptr %b, i64 %l",
-            "  %factor = load double, ptr %q, align 8",
-            f"  %f.one = insertelement {_EIGHT} poison, double %factor, i64 0",
-            f"  %f = shufflevector {_EIGHT} %f.one, {_EIGHT} poison, <8 x i32> zeroinitializer",
-            f"  %product = fmul contract {_EIGHT} %z7, %f",
-            f"  %with = fadd contract {_EIGHT} %so.far, %product",
-            "  %l.next = add nuw nsw i64 %l, 1",
-            "  br label %more",
+            "  br i1 %goes.on, label %loop, label %behind",
+            "behind:",
+            "  br i1 %is.behind, label %rest, label %put",
+            "rest:",
+            *_eight_products("z", "%t", "%last", "%f.last"),
+            "  br label %put",
             "put:",
+            *(f"  %u{r} = phi {_EIGHT} [%t{r}, %behind], [%z{r}, %rest]" for r in rows),
+            *_eight_sums([f"%u{r}" for r in rows], "%sums"),
             "  %at = getelementptr inbounds double, ptr %y, i64 %j",
-            f"  store {_EIGHT} %so.far, ptr %at, align 8",
+            f"  store {_EIGHT} %sums, ptr %at, align 8",
             "  br label %look",
             "left:",
             "  %i = phi i64 [%j, %look], [%i.next, %one]",
@@ -606,19 +642,24 @@ def _dots_text() -> str:
 
 
 DOTS = _dots_text()
-"""From (W, its stride, b, n, y, m) to y_j = sum_k W_jk b_k, n at least 16, for m of them. It calls `DOT`."""
+"""From (W, its stride, b, n, y, m, columns ahead) to y_j = sum_k W_jk b_k, n at least 16, for m of them. Whole vectors
+begin behind those columns. It calls `DOT`."""
 
 
-def _in_blocks(widths: Sequence[int], turn: Any, end: str = "  ret void") -> str:
-    """Loops over entries 0 to %m in blocks of these widths, each as far as it goes; the last one is 1.
+def _in_blocks(
+    widths: Sequence[int], turn: Any, end: str = "  ret void", before: str = "work", begin: str = "0"
+) -> str:
+    """Loops over entries up to %m in blocks of these widths, each as far as it goes.
 
     Args:
         widths: of blocks, the widest first.
         turn: from a width and a prefix for names to the lines of a block that begins at the entry %j.prefix, and the
             name of the label that it ends in.
-        end: the last line.
+        end: the last lines.
+        before: the label that the loops begin behind.
+        begin: the first entry.
     """
-    lines, before, begin = [], "work", "0"
+    lines = []
     for width in widths:
         p = f"w{width}"
         text, last = turn(width, p)
@@ -653,13 +694,14 @@ def _spread(name: str, width: int) -> list[str]:
     ]
 
 
-def _column_block(adds: bool, width: int, p: str) -> tuple[list[str], str]:
+def _column_block(adds: bool, width: int, p: str, of: str | None = None) -> tuple[list[str], str]:
+    """A block of columns; `of`: those that it is for, where these are not all."""
     kind, zero = _vector(width), "zeroinitializer" if width > 1 else "0.0"
     # What is added to comes from memory, and its factors are as far apart as the rows.
     begin, at_factor = (f"%y.{p}", f"%row.{p}") if adds else (zero, f"%k.{p}")
     lines = [
         f"  %p.y.{p} = getelementptr inbounds double, ptr %y, i64 %j.{p}",
-        *([f"  %y.{p} = load {kind}, ptr %p.y.{p}, align 8"] if adds else []),
+        *([f"  %y.{p} = load {kind}, ptr %p.y.{p}, align 8"] if adds or of else []),
         f"  br label %over.{p}",
         f"over.{p}:",
         f"  %k.{p} = phi i64 [0, %turn.{p}], [%k.next.{p}, %over.{p}]",
@@ -677,21 +719,48 @@ def _column_block(adds: bool, width: int, p: str) -> tuple[list[str], str]:
         f"  %goes.on.{p} = icmp ult i64 %k.next.{p}, %n",
         f"  br i1 %goes.on.{p}, label %over.{p}, label %sum.{p}",
         f"sum.{p}:",
-        f"  store {kind} %t.{p}, ptr %p.y.{p}, align 8",
+        *([f"  %u.{p} = select <{width} x i1> {of}, {kind} %t.{p}, {kind} %y.{p}"] if of else []),
+        f"  store {kind} %{'u' if of else 't'}.{p}, ptr %p.y.{p}, align 8",
     ]
     return lines, f"sum.{p}"
 
 
 def _columns_text(name: str, adds: bool) -> str:
-    begin = (
-        f"define internal void @spherejax.{name}("
-        f"ptr %w, i64 %stride, ptr %b, i64 %n, ptr noalias %y, i64 %m) {WIDE} {{\nwork:\n"
-    )
-    return begin + _in_blocks((32, 8, 1), partial(_column_block, adds))
+    """Blocks of whole vectors; what is ahead of them, and behind them, is a part of a vector."""
+    first, _ = _column_block(adds, 8, "first", "%of.first")
+    last, _ = _column_block(adds, 8, "last", "%of.last")
+    begin = [
+        "define internal void "
+        f"@spherejax.{name}(ptr %w, i64 %stride, ptr %b, i64 %n, ptr noalias %y, i64 %m, i64 %ahead) {WIDE} {{",
+        "work:",
+        "  %is.ahead = icmp ne i64 %ahead, 0",
+        *_lanes("%of.first", "ult", "%ahead"),
+        "  br i1 %is.ahead, label %turn.first, label %inside",
+        "turn.first:",
+        "  %j.first = add nuw nsw i64 0, 0",
+        *first,
+        "  br label %inside",
+        "inside:",
+    ]
+    end = [
+        "  %is.behind = icmp ult i64 %j.w8, %m",
+        "  br i1 %is.behind, label %turn.last, label %end",
+        "turn.last:",
+        "  %j.last = sub nuw nsw i64 %m, 8",
+        "  %n.known = sub nuw nsw i64 %j.w8, %j.last",
+        *_lanes("%of.last", "uge", "%n.known"),
+        *last,
+        "  br label %end",
+        "end:",
+        "  ret void",
+    ]
+    blocks = _in_blocks((32, 8), partial(_column_block, adds), "\n".join(end), "inside", "%ahead")
+    return "\n".join([*begin, blocks])
 
 
 COLUMNS = _columns_text("columns", False)
-"""From (W, its stride, b, n, y, m) to y_j = sum_k W_kj b_k, for m of them."""
+"""From (W, its stride, b, n, y, m, columns ahead) to y_j = sum_k W_kj b_k, for m of them, at least 16. Whole vectors
+begin behind those columns."""
 
 PRODUCTS = (
     _columns_text("columns.added", True)
@@ -706,7 +775,7 @@ turn:
   %b = getelementptr inbounds double, ptr %f, i64 %i
   %at = mul nuw nsw i64 %i, %stride
   %row = getelementptr inbounds double, ptr %y, i64 %at
-  call void @spherejax.columns.added(ptr %x, i64 %size, ptr %b, i64 %n, ptr %row, i64 %m)
+  call void @spherejax.columns.added(ptr %x, i64 %size, ptr %b, i64 %n, ptr %row, i64 %m, i64 0)
   %i.next = add nuw nsw i64 %i, 1
   %goes.on = icmp ult i64 %i.next, %rows
   br i1 %goes.on, label %turn, label %end

@@ -204,11 +204,13 @@ class StepsKept(NamedTuple):
     Attributes:
         are_kept: whether it has: the run succeeded, and there was room for all of them.
         n_steps: how many.
+        start: the state that it began with.
         log: the steps.
     """
 
     are_kept: Flag
     n_steps: Int[Array, ""]
+    start: Float[Array, " size"]
     log: StepLog
 
     @classmethod
@@ -216,7 +218,7 @@ class StepsKept(NamedTuple):
         """No steps."""
         size = example_of(plan.structure).layout.size
         log = StepLog.of_nothing(_room(plan), 0, (2, size))
-        return cls(jnp.array(False), jnp.zeros((), jnp.int64), log)
+        return cls(jnp.array(False), jnp.zeros((), jnp.int64), jnp.zeros(size), log)
 
 
 def _room(plan: Plan) -> int:
@@ -302,7 +304,8 @@ def _with_steps(plan: Plan, method: RunMethod, inputs: RunInputs) -> tuple[Outco
         made = jax.tree.map(lambda leaf: leaf[0], made._replace(n_lane_steps=made.n_lane_steps[None]))
         n_steps = made.n_accepted + made.n_rejected
         are_kept = job.may_run & (made.status == Status.SUCCEEDED) & (n_steps <= method.max_steps)
-        outcome, steps = outcome_of_first_row(usual, job, made), StepsKept(are_kept, made.n_accepted, log)
+        outcome = outcome_of_first_row(usual, job, made)
+        steps = StepsKept(are_kept, made.n_accepted, job.y0[0], log)
         if method.stiff_rest is not None:
             return outcome, steps
         # A run that failed, or had too many steps, is made once more without the sensitivity: what is reported is its
@@ -371,23 +374,28 @@ def _pulled_back(
     plan: Plan, method: RunMethod, inputs: RunInputs, by_ys, by_assembly, along, kept, has_succeeded
 ) -> Gradient:
     values, known, ts = inputs.values, inputs.known, inputs.ts
-    job, problem = _as_mixture(plan, method, inputs, along)
+    begun = _as_mixture(plan, method, inputs, along) if kept is None else None
     rate = program_for(state_rate, plan.structure, plan.scalar)
     parameters, to_values = jax.vjp(partial(parameters_from, plan, rate, known), values)
     back = _StepsBack(plan, method, rate, parameters, ts, by_ys)
     n = jnp.asarray(ts.shape[0] - 1)
     none = jnp.zeros(())
-    sweep = _Sweep(jnp.zeros(job.y0.shape[1:]), jax.tree.map(jnp.zeros_like, parameters), n, none, none)
+    size = example_of(plan.structure).layout.size
+    sweep = _Sweep(jnp.zeros(size), jax.tree.map(jnp.zeros_like, parameters), n, none, none)
     stretches = _Stretches(
         jnp.zeros((), jnp.int64),
         jnp.array(False) if kept is None else kept.are_kept,
-        jnp.asarray(job.may_run),
+        jnp.array(True),
         uninitialized((N_STRETCHES,)),
-        uninitialized((N_STRETCHES, *job.y0.shape)),
-        StepLog.of_nothing(_room(plan), 0, job.y0.shape) if kept is None else kept.log,
+        uninitialized((N_STRETCHES, 2, size)),
+        StepLog.of_nothing(_room(plan), 0, (2, size)) if kept is None else kept.log,
         sweep,
     )
-    turn = partial(_with_stretch, problem, job, ts[jnp.array([0, -1])], back, kept)
+
+    def beginning_of_run() -> tuple[Job, LaneProblem]:
+        return _as_mixture(plan, method, inputs, along) if begun is None else begun
+
+    turn = partial(_with_stretch, beginning_of_run, ts[jnp.array([0, -1])], back, kept)
     swept = native_run(lambda: jax.lax.while_loop(_goes_on, turn, stretches), back.is_native, joins=False)
     # Samples at the start are the start.
     is_first = (jnp.arange(ts.shape[0]) <= swept.sweep.sample)[:, None]
@@ -430,29 +438,37 @@ def _goes_on(stretches: _Stretches) -> Bool[Array, ""]:
 
 
 def _with_stretch(
-    problem: LaneProblem, job: Job, ts, back: "_StepsBack", kept: StepsKept | None, stretches: _Stretches
+    beginning_of_run: Callable[[], tuple[Job, LaneProblem]],
+    ts,
+    back: "_StepsBack",
+    kept: StepsKept | None,
+    stretches: _Stretches,
 ) -> _Stretches:
     """A stretch is made: on the way to the end its own end is noted, on the way back its steps are gone back."""
     at = stretches.at
     # The first one begins with the run. Written to the rows, that would be a copy of all of them.
     is_first = at == 0
-    t, rows = jnp.where(is_first, ts[0], stretches.times[at]), jnp.where(is_first, job.y0, stretches.rows[at])
+    t = jnp.where(is_first, ts[0], stretches.times[at])
 
     def made(log):
-        ends = jnp.stack([t, ts[1]])
-        own = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], (job.numbers, rows, stretches.is_sound, job.status))
+        job, problem = beginning_of_run()
+        rows = jnp.where(is_first, job.y0, stretches.rows[at])
+        ends, may_run = jnp.stack([t, ts[1]]), stretches.is_sound & job.may_run
+        own = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], (job.numbers, rows, may_run, job.status))
         numbers, first, may_run, status = own
         outcome, log = steps_in_lanes(
             problem, numbers, first, ends, may_run, status, Block(), log.times.shape[0], (), log
         )
-        return (outcome.n_accepted[0], outcome.status[0], outcome.t_reached[0], outcome.y_reached[0]), log
+        ended = outcome.n_accepted[0], outcome.status[0], outcome.t_reached[0], outcome.y_reached[0]
+        return (*ended, rows[0]), log
 
     if kept is None:
-        (n_steps, status, t_end, rows_end), log = made(stretches.log)
+        (n_steps, status, t_end, rows_end, begin), log = made(stretches.log)
     else:
-        succeeded = jnp.asarray(Status.SUCCEEDED, jnp.int64)
-        (n_steps, status, t_end, rows_end), log = jax.lax.cond(
-            is_first & kept.are_kept, lambda log: ((kept.n_steps, succeeded, t, rows), log), made, stretches.log
+        # Only what is made once more has to be begun once more, which takes as long as some of the steps.
+        ended = kept.n_steps, jnp.asarray(Status.SUCCEEDED, jnp.int64), t, stretches.rows[at], kept.start
+        (n_steps, status, t_end, rows_end, begin), log = jax.lax.cond(
+            is_first & kept.are_kept, lambda log: (ended, log), made, stretches.log
         )
     is_full = status == Status.TOO_MANY_STEPS
     is_sound = (status == Status.SUCCEEDED) | (is_full & (n_steps > 0))
@@ -461,7 +477,7 @@ def _with_stretch(
     goes_back = is_sound & ~notes
 
     def gone_back(sweep):
-        return back.along(log, n_steps, t, rows[0], sweep)
+        return back.along(log, n_steps, t, begin, sweep)
 
     sweep = jax.lax.cond(goes_back, gone_back, lambda sweep: sweep, stretches.sweep)
     coming = jnp.minimum(at + 1, N_STRETCHES - 1)
