@@ -143,7 +143,7 @@ def _runs_of(unknown: tuple[int, ...]) -> tuple[tuple[int, int], ...]:
     """Where numbers stand side by side: the first of each run, and how many."""
     at = np.asarray(unknown)
     begins = np.flatnonzero(np.diff(at, prepend=at[0] - 2) != 1)
-    return tuple(zip(at[begins].tolist(), np.diff([*begins, at.size]).tolist(), strict=True))
+    return tuple(zip(at[begins].tolist(), np.diff(begins, append=at.size).tolist(), strict=True))
 
 
 @lru_cache(maxsize=64)

@@ -68,33 +68,26 @@ def scales_of(values: Any, arrays: Int[np.ndarray, " p"] | None = None) -> Any:
     """
     xp: Any = np if is_concrete(values) else jnp
     sizes, smallest = xp.abs(xp.asarray(values)), SMALLEST_SCALE
-
-    def spread(of_arrays):
-        return of_arrays
-
-    if arrays is not None and arrays.size:
-        counts = np.bincount(arrays)
+    counts = np.zeros(0, int) if arrays is None or not arrays.size else np.bincount(arrays)
+    are_few = counts.size <= FEW_ARRAYS
+    if counts.size:
         first = np.cumsum(counts) - counts
-        if counts.size <= FEW_ARRAYS:
+        if are_few:
             parts = [sizes[begin : begin + count] for begin, count in zip(first, counts, strict=True)]
             sizes = xp.stack([xp.max(part) for part in parts])
-
-            def spread(of_arrays):
-                pairs = zip(of_arrays, counts.tolist(), strict=True)
-                return xp.concatenate([xp.broadcast_to(scale, count) for scale, count in pairs])
-
         else:
             # Picked, not scattered: XLA:CPU (jax 0.10) aborts where it compiles the derivative of a fused scatter.
             places = first[:, None] + np.minimum(np.arange(counts.max()), counts[:, None] - 1)
             sizes = xp.max(sizes[places], axis=1)
-
-            def spread(of_arrays):
-                return of_arrays[arrays]
-
         smallest = np.where(counts > 1, SMALLEST_IN_ARRAY, SMALLEST_SCALE)
     if xp is jnp:
         sizes = jax.lax.stop_gradient(sizes)
-    return spread(xp.where(sizes == 0, 1.0, xp.maximum(sizes, smallest)))
+    scales = xp.where(sizes == 0, 1.0, xp.maximum(sizes, smallest))
+    if not counts.size:
+        return scales
+    if are_few:
+        return xp.concatenate([xp.broadcast_to(scale, n) for scale, n in zip(scales, counts.tolist(), strict=True)])
+    return scales[arrays]
 
 
 def with_start_time(scales: Any, by_start: bool) -> Any:
