@@ -388,14 +388,13 @@ def test_a_journal_that_goes_beyond_its_clearance_is_stopped_and_said():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("axial", [1, 2])
-def test_every_number_has_its_derivative(axial):
+def test_every_number_has_its_derivative():
     """Of the place after a while, forward against differences, by length, liner, viscosity, clearance and radius."""
     start = jnp.array([CLEARANCE, VISCOSITY, RADIUS, LENGTH, 1e9, 0.4, 2e-3])
 
     def final(numbers):
         c, viscosity, radius, length, *liner = numbers
-        film = sj.laws.LinedBearing(length, sj.laws.WinklerLiner(*liner), 16, axial=axial)
+        film = sj.laws.LinedBearing(length, sj.laws.WinklerLiner(*liner), 16)
         model = sj.Lubricated(c, viscosity, socket_radius=radius, film=film, normal=sj.Hertz(stiffness=1e10), e_h1=2e-6)
         return sj.simulate(journal(model), [0.0, 0.02], rtol=1e-9).eccentricity("bearing")[-1, :2] / CLEARANCE
 
@@ -406,6 +405,32 @@ def test_every_number_has_its_derivative(axial):
     differences = ((values[:7] - values[7:]) / 2e-4).T
     np.testing.assert_allclose(slopes, differences, rtol=1e-4, atol=1e-6)
     assert (np.abs(slopes).max(0) > 1e-4).all()
+
+
+@pytest.mark.slow
+def test_a_film_with_two_deflections_along_the_axis_has_its_derivatives():
+    """Of force, powers and rates at a state, by each number and each deflection; differences in complete steps."""
+    motion = random_state(3, False, 2)
+    start = jnp.concatenate([jnp.array([CLEARANCE, VISCOSITY, RADIUS, LENGTH, 1e9, 0.4, 2e-3]), motion.memory])
+    gap = GAP._replace(transition_offset=2e-6)
+
+    @jax.jit
+    def answer(numbers):
+        c, viscosity, radius, length, *liner = numbers[:7]
+        film = sj.laws.LinedBearing(length, sj.laws.WinklerLiner(*liner), axial=2)
+        action = film.action(
+            motion._replace(memory=numbers[7:]), gap._replace(clearance=c, viscosity=viscosity, socket_radius=radius)
+        )
+        powers = jnp.stack([action.pressure_power, action.shear_power])
+        return jnp.concatenate([action.force[:2], 1e-3 * powers, action.memory_rate])
+
+    slopes = np.asarray(jax.jacfwd(answer)(start)) * np.asarray(start)
+    steps = 1e-5 * np.diag(np.asarray(start))
+    rows = jax.vmap(answer)(start + jnp.asarray(np.concatenate([steps, -steps])))
+    differences = np.asarray(rows[: start.size] - rows[start.size :]).T / 2e-5
+    scale = np.abs(slopes).max(1, keepdims=True)
+    np.testing.assert_allclose(slopes / scale, differences / scale, atol=1e-7)
+    assert (np.abs(slopes).max(0) > 0).all()
 
 
 # Limits, errors, cost
@@ -549,7 +574,7 @@ def test_a_ball_has_no_such_film():
 
 
 def test_a_run_says_nothing_up_to_what_the_axis_is_resolved_for():
-    for axial, largest in ((1, 0.8), (2, 0.95)):
+    for axial, largest in ((1, 0.8), (2, 0.9)):
         film = sj.laws.LinedBearing(LENGTH, LINER, axial=axial)
         assert float(film.range_share(moving(None, (0.0, largest * CLEARANCE)), GAP)) == pytest.approx(1.0)
         assert f"{largest:g}" in film.beyond_range
@@ -626,10 +651,10 @@ squeezed, or leaves the wall at a negative eps."""
 OFF_TABLES = {
     ("turning", 32, 1): ((0.022, 0.020, 0.053), (0.010, 0.008, 0.013)),
     ("turning", 64, 1): ((0.021, 0.017, 0.022), (0.009, 0.006, 0.007)),
-    ("turning", 32, 2): ((0.023, 0.006, 0.016), (0.010, 0.008, 0.013)),
+    ("turning", 32, 2): ((0.023, 0.006, 0.015), (0.009, 0.006, 0.0095)),
     ("squeezed", 32, 1): ((0.015, 0.029, 0.058), (0.009, 0.011, 0.027)),
     ("squeezed", 64, 1): ((0.009, 0.015, 0.028), (0.009, 0.004, 0.010)),
-    ("squeezed", 32, 2): ((0.009, 0.006, 0.015), (0.010, 0.004, 0.009)),
+    ("squeezed", 32, 2): ((0.0025, 0.005, 0.0145), (0.0095, 0.003, 0.008)),
 }
 """How far loads may be off up to 0.6, at 0.7 and at 0.8, in bearings as long as wide and in shorter ones: what the page
 says."""

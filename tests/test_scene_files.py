@@ -446,6 +446,16 @@ JOINTS = [
             1e-4, film=sj.laws.LinedSocket(sj.laws.WinklerLiner(1e9, 0.4, 8e-3), 1.2, (0.0, 0.6, 0.8), 5, 10)
         ),
     ),
+    sj.Revolute(
+        BOTH,
+        "a.tip",
+        AXIS,
+        sj.Lubricated(
+            1e-4,
+            film=sj.laws.LinedBearing(0.01, sj.laws.WinklerLiner(1e9, 0.4, 2e-3), 48, 2, 0.3, 0.1, axial=2),
+            conformity=sj.laws.JohnsonCylinder(0.01),
+        ),
+    ),
     sj.joints.Rim(BOTH, "ground.hook", AXIS),
     sj.joints.Rim(
         BOTH, (1.0, 2.0, 3.0), AXIS, sj.Dry(1e-4, conformity=sj.laws.EsduCylinder(0.01)), False, is_thrust=True
