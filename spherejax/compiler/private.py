@@ -39,7 +39,7 @@ def is_jit_disabled() -> bool:
     Without the setting, or with another name, False: an operation that is evaluated one by one would then fail with
     JAX's own error.
     """
-    return bool(jax.config.values.get("jax_disable_jit", False))
+    return bool(getattr(jax.config, "jax_disable_jit", False))
 
 
 def is_dropped(variable: Any) -> bool:

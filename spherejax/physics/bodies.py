@@ -329,7 +329,8 @@ def _of_foreign(module: Any) -> Any:
 
 
 def _is_foreign(node: Any) -> bool:
-    return isinstance(node, eqx.Module) and not type(node).__module__.startswith("spherejax.")
+    of = type(node).__module__  # first, for to ask for a class takes longer
+    return of not in ("builtins", "numpy") and not of.startswith("spherejax.") and isinstance(node, eqx.Module)
 
 
 def numbers(value):
@@ -341,6 +342,8 @@ def numbers(value):
     Raises:
         SceneError: for masked entries: not every field is looked at later, and behind a mask there are numbers.
     """
+    if type(value) is tuple and {*map(type, value)} == {float}:  # most are: nothing has to be asked of them
+        return np.array(value)
     if not is_numeric(value):
         refuse_masked(value)
         return value

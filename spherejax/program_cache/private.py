@@ -27,7 +27,7 @@ def is_jit_disabled() -> bool:
 
     Without the setting, or with another name, False.
     """
-    return bool(jax.config.values.get("jax_disable_jit", False))
+    return bool(getattr(jax.config, "jax_disable_jit", False))
 
 
 try:

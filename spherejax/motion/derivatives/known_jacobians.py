@@ -108,14 +108,14 @@ LINEARIZES_AT_ONCE = _register_linearization()
 # Matrices -------------------------------------------------------------------------------------------------------------
 
 
-def times_jacobians(tangent: Float[Array, " p"], *jacobians: Float[Array, "*shape p"]) -> list[Float[Array, "*shape"]]:
-    """The products J t, as one operation of JAX, linear in t."""
+def times_jacobians(tangent: Float[Array, "..."], *jacobians: Float[Array, "*shape p"]) -> list[Float[Array, "*shape"]]:
+    """The products J t, as one operation of JAX, linear in t, which has p entries in any shape."""
     return _times.bind(tangent, *jacobians)
 
 
 @jax.jit
 def _products(tangent: Array, *jacobians: Array) -> list[Array]:
-    return [jacobian @ tangent for jacobian in jacobians]
+    return [jacobian @ jnp.ravel(tangent) for jacobian in jacobians]
 
 
 @jax.jit
@@ -139,9 +139,9 @@ def _transposed(cotangents: Sequence, tangent: Any, *jacobians: Any) -> list:
         back: Any = ad.Zero(tangent.aval)
     elif all(map(is_concrete, (*jacobians, *(y for y, _ in moving)))):
         products = [np.tensordot(np.asarray(y), np.asarray(jacobian), np.ndim(y)) for y, jacobian in moving]
-        back = jnp.asarray(np.sum(products, axis=0))
+        back = jnp.asarray(np.sum(products, axis=0).reshape(tangent.aval.shape))
     else:
-        back = _sum_of_products(*map(list, zip(*moving, strict=True)))
+        back = _sum_of_products(*map(list, zip(*moving, strict=True))).reshape(tangent.aval.shape)
     return [back, *(None for _ in jacobians)]
 
 

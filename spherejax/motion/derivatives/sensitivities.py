@@ -247,7 +247,7 @@ def _with_known_derivatives(
         jacobians = [ys, ys[-1] if has_succeeded else np.full_like(ys[-1], np.nan), *assembly]
 
         def along(tangent: Array) -> list:
-            return times_jacobians(jnp.ravel(tangent), *jacobians)
+            return times_jacobians(tangent, *jacobians)
 
     results = [outcome.ys, outcome.y_reached, *outcome.assembly][:n]
     ys, y_reached, *assembly = with_derivatives(traced, results, along)

@@ -15,7 +15,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from spherejax.foundations.checks import is_concrete, is_tracing
-from spherejax.foundations.remembering.again import again
 from spherejax.model.system import Structure, example_of
 from spherejax.motion.equations.contacts import crossings
 from spherejax.motion.equations.dynamics import state_rate
@@ -91,7 +90,7 @@ def _in_windows(plan: Plan, method: RunMethod, inputs: RunInputs) -> Callable[[]
     advance, of_run, nothing = _window_program(plan, method, inputs._replace(ts=ends, start=start))
 
     def run() -> Outcome:
-        found: Any = None
+        found: Outcome | None = None
 
         def samples() -> Iterator[tuple[int, int, Array]]:
             nonlocal found
@@ -99,13 +98,14 @@ def _in_windows(plan: Plan, method: RunMethod, inputs: RunInputs) -> Callable[[]
             while True:
                 began = time.perf_counter()
                 window, n_turns = window_at(times, first), np.array([found is None, pace.n_turns])
-                ys, found, vectors, numbers = advance([*of_run, *jax.tree.leaves(vectors), window, n_turns])
+                found, vectors, numbers = advance([*of_run, *jax.tree.leaves(vectors), window, n_turns])
+                assert found is not None
                 progress = WindowProgress.of(numbers)  # waits for the program
                 pace.note(progress.n_turns - n_turns_before, time.perf_counter() - began)
                 n_turns_before = progress.n_turns
-                yield first, progress.n_written, ys
+                yield first, progress.n_written, found.ys
                 first += progress.n_written - 1
-                is_full = progress.n_written == len(ys) and first + 1 < len(times)
+                is_full = progress.n_written == windows.WINDOW and first + 1 < len(times)
                 if not (progress.is_busy or is_full):
                     return
 
@@ -115,9 +115,9 @@ def _in_windows(plan: Plan, method: RunMethod, inputs: RunInputs) -> Callable[[]
             if found is not None:
                 interrupt.add_note(_where_it_stopped(times, found))
             raise
-        t_reached, y_reached, status, stats, assembly = found
-        assembly = assembly if described is None else assembly._replace(y=described)
-        return _put_together(ys, t_reached, y_reached, status, stats, assembly)
+        assert found is not None
+        assembly = found.assembly if described is None else found.assembly._replace(y=described)
+        return found._replace(ys=ys, assembly=assembly)
 
     return run
 
@@ -142,8 +142,6 @@ def _window_program(plan: Plan, method: RunMethod, inputs: RunInputs) -> tuple[C
 
 _programs = LruCache(64)
 
-_put_together = again(Outcome)
-
 
 @lru_cache(maxsize=64)
 def _pace(structure: Structure, rest: Any) -> WindowPace:
@@ -152,11 +150,10 @@ def _pace(structure: Structure, rest: Any) -> WindowPace:
     return WindowPace()
 
 
-def _where_it_stopped(times: Float[np.ndarray, " n"], found: tuple) -> str:
-    t_reached, _, _, stats, _ = found
+def _where_it_stopped(times: Float[np.ndarray, " n"], found: Outcome) -> str:
     return (
-        f"simulate: stopped at t = {float(t_reached):.6g} s of {times[-1]:.6g} s, after {int(stats.n_steps):,} steps; "
-        "with a ts that ends there the run succeeds"
+        f"simulate: stopped at t = {float(found.t_reached):.6g} s of {times[-1]:.6g} s, after "
+        f"{int(found.stats.n_steps):,} steps; with a ts that ends there the run succeeds"
     )
 
 
@@ -312,7 +309,7 @@ def before_first_window(plan: Plan, method: RunMethod, inputs: RunInputs) -> Run
 
 @cached_jit(what="a run", options=options_for)
 def advance_window(plan: Plan, method: RunMethod, inputs: RunInputs, forms: Any, vectors, window, n_turns) -> tuple:
-    """Samples of the next window, what else an `Outcome` says at its end, the run's vectors, and the numbers of a
+    """The outcome at the end of the next window, with its samples, the run's vectors, and the numbers of a
     `WindowProgress`.
 
     Args:
@@ -339,7 +336,8 @@ def advance_window(plan: Plan, method: RunMethod, inputs: RunInputs, forms: Any,
     made, vectors, progress, assembly = native(window_made, problem.in_machine_code)
     ys, t_reached, y_reached, status = (each[0] for each in (made.ys, made.t_reached, made.y_reached, made.status))
     of_it = jax.tree.map(lambda leaf: leaf[0], made._replace(n_lane_steps=made.n_lane_steps[None]))
-    return ys, (t_reached, y_reached, status, statistics(of_it, stages_of(method.rest)), assembly), vectors, progress
+    stats = statistics(of_it, stages_of(method.rest))
+    return Outcome(ys, t_reached, y_reached, status, stats, assembly), vectors, progress
 
 
 def differentiable_slopes(plan: Plan, method: RunMethod, inputs: RunInputs, directions) -> RunAndSlopes:

@@ -369,7 +369,7 @@ def parameters_from(plan: Plan, rate: Program, known, values) -> Parameters:
     return Parameters(theta, rate.ahead(theta))
 
 
-class Outcome(eqx.Module):
+class Outcome(NamedTuple):
     """What an integration returns.
 
     Attributes:
