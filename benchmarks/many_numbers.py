@@ -1,7 +1,7 @@
 """Gradients by many numbers: what they cost in values, and what they take to compile.
 
-    python benchmarks/many_numbers.py                # seven minutes
-    python benchmarks/many_numbers.py --one-core     # three minutes: the networks, on one core
+    python benchmarks/many_numbers.py                # ten minutes
+    python benchmarks/many_numbers.py --one-core     # five minutes: the networks, on one core
 
 A network as a force on a body, 3 s, 31 samples, rtol 1e-7, by all of its weights, and along one direction in them, and
 the mean over eight starts by `jax.vmap` and its gradient, as a training takes them; the four-bar, dry and lubricated,
@@ -101,6 +101,8 @@ CASES = {
     "network in a force, width 8": "by_network(8)",
     "network in a force, width 32": "by_network(32)",
     "network in a force, width 64": "by_network(64)",
+    "network in a force, width 128": "by_network(128)",
+    "network in a force, width 256": "by_network(256)",
     "network in a friction law, dry four-bar": "by_friction()",
     "dry four-bar, its scene": "by_scene(sj.Dry(1e-4, friction=sj.Threlfall()))",
     "lubricated four-bar, its scene": "by_scene(sj.Lubricated(clearance=1e-4, viscosity=0.4))",
@@ -111,7 +113,7 @@ OF_EIGHT = ["eight runs", "gradient of eight runs"]
 MORE_WAYS = {
     "lubricated four-bar, its scene": ["rows"],
     "dry four-bar, its scene": ["eight gradients"],
-    **{case: OF_EIGHT for case in CASES if "in a force" in case},
+    **{f"network in a force, width {width}": OF_EIGHT for width in (8, 32, 64)},
 }
 """What else is measured of a case; `rows`: with a row for each number in place of the way back."""
 

@@ -12,6 +12,7 @@ from spherejax.model.scene import Scene
 from spherejax.model.system import compile_scene, flatten_system
 from spherejax.motion.equations.dynamics import state_rate
 from spherejax.motion.equations.programs import path_of, program_for
+from spherejax.motion.integration.compiling import native_run
 from spherejax.motion.integration.problem import initial_state
 from spherejax.motion.start.assembly import as_ideal, assemble_now
 from spherejax.physics.joints.base import AbstractSphericalModel
@@ -147,9 +148,12 @@ def _microseconds(system, program, theta) -> float:
     @jax.jit
     def loop(theta, y):
         ahead = program.ahead(theta)
-        return jax.lax.fori_loop(
-            0, _CALLS, lambda _, state: state + _WIGGLE * program.inside(theta, ahead, 0.0, state), y
-        )
+
+        def turn(_, state):
+            return state + _WIGGLE * program.inside(theta, ahead, 0.0, state)
+
+        # As the loop of a run is compiled.
+        return native_run(lambda: jax.lax.fori_loop(0, _CALLS, turn, y), program.scalar is not None)
 
     loop(theta, y0).block_until_ready()
     seconds = []

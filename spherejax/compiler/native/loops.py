@@ -15,12 +15,12 @@ from typing import Any, NamedTuple
 import jax
 import jax.ffi
 import numpy as np
-from jax.core import ShapedArray
+from jax.core import ShapedArray, Tracer
 from jax.extend import core as jex
 from jax.interpreters import mlir
 
 from spherejax.compiler import private
-from spherejax.compiler.array_operations import ARRAY_OPERATIONS, written_by_entry
+from spherejax.compiler.array_operations import ARRAY_OPERATIONS, of_constants, written_by_entry
 from spherejax.compiler.emit.llvm import FunctionText, head
 from spherejax.compiler.emit.llvm_arena import SMALLEST_SHARED, shared_room
 from spherejax.compiler.emit.llvm_arrays import (
@@ -63,13 +63,26 @@ def looped(parameters: Any, values: Sequence[Any]) -> list[Any]:
     Raises:
         NotWrittenError: if something in it has no rule.
     """
-    arrays = [jax.numpy.asarray(value) for value in values]
+    # Indices are written into the text, where they say which entries are moved.
+    n_constant = parameters["cond_nconsts"] + parameters["body_nconsts"]
+    known = {i: np.asarray(x) for i, x in enumerate(values[:n_constant]) if is_index(x) and np.size(x) > 1}
+    arrays = [jax.numpy.asarray(x) for i, x in enumerate(values) if i not in known]
     avals = [ShapedArray(x.shape, x.dtype) for x in arrays]
     results = [ShapedArray(v.aval.shape, v.aval.dtype) for v in parameters["body_jaxpr"].jaxpr.outvars]
     written = within_limits(
-        lambda limits: LoopText(parameters, avals, results, limits).whole(), _large_for(parameters, results)
+        lambda limits: LoopText(parameters, avals, results, limits, known).whole(), _large_for(parameters, results)
     )
     return bound(arrays, written, results)
+
+
+LARGEST_TABLE = 2**16
+"""Indices of a constant that is written into the text, at most."""
+
+
+def is_index(constant: Any) -> bool:
+    """Whether a value is known and made of whole numbers or truths: what it is depends on no number of a scene."""
+    is_small = jax.numpy.size(constant) <= LARGEST_TABLE
+    return is_small and not isinstance(constant, Tracer) and jax.numpy.result_type(constant) != np.float64
 
 
 def bound(arrays: Sequence[Any], written: "WrittenLoop", results: Sequence[Any]) -> list[Any]:
@@ -156,14 +169,23 @@ class LoopText:
         parameters: of the operation `while`.
         avals, results: what its arguments and results are.
         limits: which arrays are changed in place.
+        known: constants that are written into the text, by their places among all values that the loop is given; of
+            these there are no `avals`.
 
     Attributes:
         called: names of other machine code that is called.
         in_place: as of `WrittenLoop`.
     """
 
-    def __init__(self, parameters: Any, avals: Sequence[Any], results: Sequence[Any], limits: InPlace = BY_SIZE):
-        self.parameters, self.avals, self.results = parameters, avals, results
+    def __init__(
+        self,
+        parameters: Any,
+        avals: Sequence[Any],
+        results: Sequence[Any],
+        limits: InPlace = BY_SIZE,
+        known: Mapping[Any, Any] = MappingProxyType({}),
+    ):
+        self.parameters, self.avals, self.results, self._known = parameters, avals, results, known
         # Where arrays are small LLVM finds places for them, and sooner.
         shared = {} if limits.large <= LARGE else {"smallest_shared": SMALLEST_SHARED}
         self.text, self._has_rooms = ArrayText(large=limits.large, **shared), limits.has_rooms
@@ -183,8 +205,11 @@ class LoopText:
 
     def written(self) -> str:
         """The text of a function that XLA calls."""
-        text = self.text
-        values = [self._given(aval, f"%a{i}") for i, aval in enumerate(self.avals)]
+        text, n_known = self.text, len(self._known)
+        given = (self._given(aval, f"%a{i}") for i, aval in enumerate(self.avals))
+        values = [
+            self.constant(self._known[i]) if i in self._known else next(given) for i in range(len(self.avals) + n_known)
+        ]
         n_conditions, n_fixed = self.parameters["cond_nconsts"], self.parameters["body_nconsts"]
         begin = n_conditions + n_fixed
         slots, body = [], self.parameters["body_jaxpr"].jaxpr
@@ -195,7 +220,7 @@ class LoopText:
                 slots.append(None)
                 continue
             slot = Value(aval.shape, value.kind, f"%r{i}", Memory(is_own=True, room=value.size))
-            self.in_place.append((begin + i, i))
+            self.in_place.append((begin - n_known + i, i))
             self._copy_elsewhere(value, slot)
             slots.append(slot)
         finals = self.loop(self.parameters, values, slots)
@@ -327,6 +352,12 @@ class LoopText:
             raise NotWrittenError("a long loop around array code")
         if equation.effects:  # a print or a callback needs JAX's runtime
             raise NotWrittenError(f"the operation {name!r} has an effect")
+        known = [self.text.numbers_of(value) for value in values]
+        # Indices alone: an array of one number again and again is shorter as a loop.
+        if all(array is not None for array in known) and all(aval.dtype != np.float64 for aval in avals):
+            arrays = of_constants(name, [np.asarray(x) for x in known], parameters, avals)
+            if arrays is not None:
+                return [self.constant(np.broadcast_to(x, v.shape)) for x, v in zip(arrays, avals, strict=True)]
         if name in INNER_PROGRAM:
             return self.program(parameters[INNER_PROGRAM[name]], values)
         if name == "while":

@@ -14,11 +14,9 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from jax.core import Tracer
 from jax.extend import core as jex
 from jax.interpreters.partial_eval import dce_jaxpr
 
-from spherejax.compiler.array_operations import of_constants
 from spherejax.compiler.emit.llvm_arena import SMALLEST_SHARED
 from spherejax.compiler.emit.llvm_arrays import (
     ArrayText,
@@ -29,14 +27,11 @@ from spherejax.compiler.emit.llvm_arrays import (
     within_limits,
 )
 from spherejax.compiler.native.loop_fusion import changed, fuse_loops, whole_loops
-from spherejax.compiler.native.loops import LOOP, LoopText, WrittenLoop, bound
+from spherejax.compiler.native.loops import LOOP, LoopText, WrittenLoop, bound, is_index
 from spherejax.compiler.native.uninitialized import UNINITIALIZED
 
 LARGEST_WHOLE = 30_000
 """Lines of such a function, at most. LLVM takes 60 us for each: more than is gained is soon lost."""
-
-LARGEST_TABLE = 2**16
-"""Indices of a constant that is written into the text, at most."""
 
 
 def as_one_call(function: Callable, joins: bool) -> Callable:
@@ -94,7 +89,7 @@ def _called(jaxpr: Any, constants: Sequence[Any], values: Sequence[Any]) -> list
         raise NotWrittenError("no loop in machine code")
     # Indices are written into the text, where they say which entries are moved. Other constants are passed, so that
     # the text is the same for other numbers.
-    known = {v: np.asarray(x) for v, x in zip(jaxpr.constvars, constants, strict=True) if _is_index(x)}
+    known = {v: np.asarray(x) for v, x in zip(jaxpr.constvars, constants, strict=True) if is_index(x)}
     given = [(v, x) for v, x in zip(jaxpr.constvars, constants, strict=True) if v not in known]
     room = [out for equation in rooms for out in equation.outvars]
     invars = [*(v for v, _ in given), *jaxpr.invars, *room]
@@ -111,11 +106,6 @@ def _called(jaxpr: Any, constants: Sequence[Any], values: Sequence[Any]) -> list
         return text._replace(rooms=unread), [v.aval for v in aliases.results]
 
     return bound(arrays, *within_limits(written))[: len(jaxpr.outvars)]
-
-
-def _is_index(constant: Any) -> bool:
-    is_small = jax.numpy.size(constant) <= LARGEST_TABLE
-    return is_small and not isinstance(constant, Tracer) and jax.numpy.result_type(constant) != np.float64
 
 
 def _aliases_of(equations: Sequence[Any], invars: Sequence[Any], outvars: Sequence[Any]) -> _Aliases:
@@ -172,9 +162,9 @@ class WholeText(LoopText):
         known: Mapping[Any, Any],
         limits: InPlace,
     ):
-        super().__init__(None, [v.aval for v in invars], [v.aval for v in aliases.results], limits)
+        super().__init__(None, [v.aval for v in invars], [v.aval for v in aliases.results], limits, known)
         self.text = ArrayText(smallest_shared=SMALLEST_SHARED, large=limits.large)
-        self._invars, self._equations, self._aliases, self._known = invars, equations, aliases, known
+        self._invars, self._equations, self._aliases = invars, equations, aliases
 
     def written(self) -> str:
         """The text of a function that XLA calls."""
@@ -197,11 +187,4 @@ class WholeText(LoopText):
         """The results of an operation."""
         if len(self.text.lines) > LARGEST_WHOLE:
             raise NotWrittenError("a long program")
-        known = [self.text.numbers_of(value) for value in values]
-        avals = [out.aval for out in equation.outvars]
-        # Indices alone: an array of one number again and again is shorter as a loop.
-        if all(array is not None for array in known) and all(aval.dtype != np.float64 for aval in avals):
-            arrays = of_constants(equation.primitive.name, [np.asarray(x) for x in known], equation.params, avals)
-            if arrays is not None:
-                return [self.constant(np.broadcast_to(x, v.shape)) for x, v in zip(arrays, avals, strict=True)]
         return super().equation(equation, values)
