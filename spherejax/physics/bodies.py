@@ -333,7 +333,7 @@ def _is_foreign(node: Any) -> bool:
     return of not in ("builtins", "numpy") and not of.startswith("spherejax.") and isinstance(node, eqx.Module)
 
 
-def numbers(value):
+def numbers(value: Any) -> Any:
     """Nested tuples or lists of numbers as one float64 array; arrays and tracers pass.
 
     Concrete values become NumPy arrays, so that they stay concrete inside an outer trace. What is no numbers stays as
