@@ -34,7 +34,8 @@ class EffectRow(NamedTuple):
         n_memory: memory entries among the states.
         n_operations: scalar operations per right-hand side in the integration loop; 0 on array code, which has none.
         n_operations_ahead: scalar operations that depend on parameters alone, done once before the loop.
-        microseconds: time per right-hand side, one trajectory, one core [us]; NaN when not timed.
+        microseconds: time per right-hand side, one trajectory, one core, compiled as it is in a run [us]; NaN when not
+            timed.
     """
 
     joint: str
