@@ -49,7 +49,7 @@ LARGEST_IN_SUMS = 300_000
 """Scalar operations that may be in long sums of products besides, as those of a network's weights: machine code has
 them in loops, whose text is no longer for more of them.
 
-To make a program of them takes 30 us for each. A run with a force by 66,817 weights (134,000 operations) takes 0.27 ms,
+To make a program of them takes 30 us for each. A run with a force by 66,817 weights (134,000 operations) takes 0.28 ms,
 on array code 12.9 ms (`benchmarks/many_numbers.py`)."""
 
 SMALLEST_ALONE, ALIKE = 14_000, 8
