@@ -196,6 +196,23 @@ def test_places_that_are_added_to_twice_are_left_to_xla(caplog):
     assert "adds twice in one place" in caplog.text
 
 
+def test_indices_within_a_loop_are_written_into_its_text():
+    """Numbers that are picked by an array of indices, which is known when the text is written."""
+
+    def function(y, x):
+        def turn(state):
+            i, total = state
+            return i + 1, total + x[jnp.asarray(SHUFFLED)] * y[0]
+
+        return jax.lax.while_loop(lambda s: s[0] < 3, turn, (0, jnp.zeros(SHUFFLED.size)))[1]
+
+    made = one_call(function)
+    (call,) = jax.make_jaxpr(made)(Y, MANY[:60]).jaxpr.eqns
+    assert call.primitive.name == LOOP
+    assert all(v.aval.dtype == jnp.float64 or v.aval.size == 1 for v in call.invars)
+    assert_same(jax.jit(made)(Y, MANY[:60]), jax.jit(function)(Y, MANY[:60]))
+
+
 @pytest.mark.parametrize("is_mapped", [False, True])
 def test_arrays_that_the_stack_has_no_room_for_are_in_a_result_that_nobody_sees(monkeypatch, is_mapped):
     """A loop within and what is around it compute with thousands of numbers."""
