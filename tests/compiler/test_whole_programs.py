@@ -197,12 +197,12 @@ def test_places_that_are_added_to_twice_are_left_to_xla(caplog):
 
 
 def test_indices_within_a_loop_are_written_into_its_text():
-    """Numbers that are picked by an array of indices, which is known when the text is written."""
+    """Numbers that are picked by an array of 32-bit indices, which is known when the text is written."""
 
     def function(y, x):
         def turn(state):
             i, total = state
-            return i + 1, total + x[jnp.asarray(SHUFFLED)] * y[0]
+            return i + 1, total + x[jnp.asarray(SHUFFLED, jnp.int32)] * y[0]
 
         return jax.lax.while_loop(lambda s: s[0] < 3, turn, (0, jnp.zeros(SHUFFLED.size)))[1]
 
