@@ -451,7 +451,7 @@ def _reduction(name: str, by: str, start: Mapping[np.dtype, Any]) -> ArrayOperat
         if value.size > LARGEST_WRITTEN_OUT and aval.size > 1:
             raise NotWrittenError(f"{value.size} numbers that are put together")
         if value.size >= text.large:
-            raise TooManyEntriesError(f"{value.size} numbers that are put together")
+            raise TooManyEntriesError(f"{value.size} numbers that are put together", value.size)
         if not operation.can_be_llvm(call):
             raise NotWrittenError(f"{name} of {kind}")
 
@@ -508,7 +508,7 @@ def _cumulative(name: str, by: str) -> ArrayOperation:
         if value.size <= 1 or aval.shape[0] == 1:
             return [value]
         if value.size >= text.large:
-            raise TooManyEntriesError(f"{name} of {value.size} numbers")
+            raise TooManyEntriesError(f"{name} of {value.size} numbers", value.size)
         n, width = aval.shape[0], value.size // aval.shape[0]
         target = text.array(aval.shape, value.kind)
         for at, wide in chunks(width):

@@ -257,6 +257,18 @@ def test_limits():
 
     assert within_limits(written) == InPlace(16384, has_rooms=False)
     assert asked == [InPlace(4096, True), InPlace(4096, False), InPlace(8192, False), InPlace(16384, False)]
+    asked.clear()
+
+    def written_of_many(limits):
+        asked.append(limits.large)
+        if limits.large <= 40_000:
+            raise TooManyEntriesError("an array", 40_000)
+        return limits.large
+
+    assert within_limits(written_of_many) == 65_536
+    assert asked == [4096, 65_536]  # each attempt writes the whole text
+    with pytest.raises(TooManyEntriesError):
+        within_limits(lambda limits: (_ for _ in ()).throw(TooManyEntriesError("an array", 10**6)))
     with pytest.raises(ChangedInPlaceError):
         within_limits(lambda limits: (_ for _ in ()).throw(ChangedInPlaceError))
 

@@ -43,7 +43,15 @@ class NotWrittenError(Exception):
 
 
 class TooManyEntriesError(NotWrittenError):
-    """An array is too large to be computed entry by entry."""
+    """An array is too large to be computed entry by entry.
+
+    Attributes:
+        size: its entries; 0 where it is no single array.
+    """
+
+    def __init__(self, reason: str = "", size: int = 0):
+        super().__init__(reason)
+        self.size = size
 
 
 class ChangedInPlaceError(NotWrittenError):
@@ -80,12 +88,15 @@ def within_limits(written: Callable[[InPlace], Any], large: int = LARGE) -> Any:
     while True:
         try:
             return written(limits)
-        except TooManyEntriesError:
+        except TooManyEntriesError as too_many:
             # It computes with arrays of thousands of numbers. Those that it changes in place are larger, or it copies
             # them.
-            if limits.large >= LARGEST_COPIED:
+            large = 2 * limits.large
+            while large <= too_many.size:
+                large *= 2
+            if large > LARGEST_COPIED:
                 raise
-            limits = limits._replace(large=2 * limits.large)
+            limits = limits._replace(large=large)
         except ChangedInPlaceError:
             if not limits.has_rooms:
                 raise
@@ -373,7 +384,7 @@ class ArrayText:
         if size == 1:
             return Value(tuple(shape), kind, write(1, *(self.read(value) for value in values)))
         if size > self._largest_by_entry:
-            raise TooManyEntriesError(f"an operation on {size} numbers")
+            raise TooManyEntriesError(f"an operation on {size} numbers", size)
         target = self.array(shape, kind) if into is None else into
 
         def write_chunk(at: int | str, width: int) -> None:
@@ -404,8 +415,10 @@ class ArrayText:
         if is_whole:
             return first._replace(shape=entries.shape, name=self.pointer(first, int(within[0])))
         pieces = _pieces(of, within)
-        if flat.size >= self.large or (flat.size > LARGEST_WRITTEN_OUT and len(pieces) > MOST_PIECES):
-            raise TooManyEntriesError(f"{flat.size} numbers that are moved in {len(pieces)} pieces")
+        if flat.size > LARGEST_WRITTEN_OUT and len(pieces) > MOST_PIECES:
+            raise NotWrittenError(f"{flat.size} numbers that are moved in {len(pieces)} pieces")
+        if flat.size >= self.large:
+            raise TooManyEntriesError(f"{flat.size} numbers that are moved", flat.size)
         target = self.array(entries.shape, kind)
         for at, n, step in pieces:
             self.move(sources[of[at]], int(within[at]), step, target, at, n)
