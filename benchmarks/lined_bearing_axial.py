@@ -2,7 +2,7 @@
 
 Beside fine grids and published tables, with 32 and 64 points round the bearing:
 
-    python benchmarks/lined_bearing_axial.py            # four minutes of processor time
+    python benchmarks/lined_bearing_axial.py            # five minutes
 
 The fine grids are those of `tests/test_lined_bearing.py`, carried on to ever finer ones; where Newton's method doesn't
 come to an end on them, as in the softest liners, there is no row. A liner is stated by its compliance, the deflection

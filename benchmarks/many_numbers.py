@@ -1,6 +1,6 @@
 """Gradients by many numbers: what they cost in values, and what they take to compile.
 
-    python benchmarks/many_numbers.py                # ten minutes
+    python benchmarks/many_numbers.py                # eight minutes
     python benchmarks/many_numbers.py --one-core     # five minutes: the networks, on one core
 
 A network as a force on a body, 3 s, 31 samples, rtol 1e-7, by all of its weights, and along one direction in them, and

@@ -111,9 +111,11 @@ class Interpreter:
 
     def _note_sums(self, parameters, inputs: list[np.ndarray]) -> None:
         """Count a product of arrays that loops may evaluate, ahead of making thousands of nodes for it."""
-        a, b = both_arranged(inputs, parameters)
         # Products that derivative rules make are among what does not count already.
-        if self.limit is None or not self.limit_of_sums or self._depth or a.shape[2] < SHORTEST:
+        if self.limit is None or not self.limit_of_sums or self._depth:
+            return
+        a, b = both_arranged(inputs, parameters)
+        if a.shape[2] < SHORTEST:
             return
         self._n_in_sums += 2 * a.shape[0] * a.shape[1] * b.shape[1] * a.shape[2]
         if self._n_in_sums > self.limit_of_sums:

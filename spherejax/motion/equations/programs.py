@@ -50,7 +50,7 @@ LARGEST_IN_SUMS = 300_000
 them in loops, whose text is no longer for more of them.
 
 To make a program of them takes 30 us for each. A run with a force by 66,817 weights (134,000 operations) takes 0.28 ms,
-on array code 12.9 ms (`benchmarks/many_numbers.py`)."""
+on array code 13 ms (`benchmarks/many_numbers.py`)."""
 
 SMALLEST_ALONE, ALIKE = 14_000, 8
 """A single run is on array code from so many scalar operations on, and from so many joints of each kind: the text of

@@ -90,20 +90,20 @@ def _in_windows(plan: Plan, method: RunMethod, inputs: RunInputs) -> Callable[[]
     advance, of_run, nothing = _window_program(plan, method, inputs._replace(ts=ends, start=start))
 
     def run() -> Outcome:
-        found: Outcome | None = None
+        outcome: Outcome | None = None
 
         def samples() -> Iterator[tuple[int, int, Array]]:
-            nonlocal found
+            nonlocal outcome
             vectors, first, n_turns_before = nothing, 0, 0
             while True:
                 began = time.perf_counter()
-                window, n_turns = window_at(times, first), np.array([found is None, pace.n_turns])
-                found, vectors, numbers = advance([*of_run, *jax.tree.leaves(vectors), window, n_turns])
-                assert found is not None
+                window, n_turns = window_at(times, first), np.array([outcome is None, pace.n_turns])
+                outcome, vectors, numbers = advance([*of_run, *jax.tree.leaves(vectors), window, n_turns])
+                assert outcome is not None
                 progress = WindowProgress.of(numbers)  # waits for the program
                 pace.note(progress.n_turns - n_turns_before, time.perf_counter() - began)
                 n_turns_before = progress.n_turns
-                yield first, progress.n_written, found.ys
+                yield first, progress.n_written, outcome.ys
                 first += progress.n_written - 1
                 is_full = progress.n_written == windows.WINDOW and first + 1 < len(times)
                 if not (progress.is_busy or is_full):
@@ -112,12 +112,12 @@ def _in_windows(plan: Plan, method: RunMethod, inputs: RunInputs) -> Callable[[]
         try:
             ys = placed_rows(samples(), len(times))
         except KeyboardInterrupt as interrupt:
-            if found is not None:
-                interrupt.add_note(_where_it_stopped(times, found))
+            if outcome is not None:
+                interrupt.add_note(_where_it_stopped(times, outcome))
             raise
-        assert found is not None
-        assembly = found.assembly if described is None else found.assembly._replace(y=described)
-        return found._replace(ys=ys, assembly=assembly)
+        assert outcome is not None
+        assembly = outcome.assembly if described is None else outcome.assembly._replace(y=described)
+        return outcome._replace(ys=ys, assembly=assembly)
 
     return run
 
@@ -130,13 +130,13 @@ def _window_program(plan: Plan, method: RunMethod, inputs: RunInputs) -> tuple[C
     if all(isinstance(leaf, np.ndarray | np.generic | jax.Array) for leaf in leaves):
         key = plan, tree, user_code_fingerprint(tree), (*map(ArrayKind.of, leaves), windows.WINDOW)
 
-    def found() -> tuple[Callable[[list], Any], dict]:
+    def made() -> tuple[Callable[[list], Any], dict]:
         with as_numbers():  # a run that is known is remembered, and may be asked for within a trace
             vectors, forms = before_first_window(plan, method, inputs)
         window, n_turns = np.zeros(windows.WINDOW), np.zeros(2, np.int64)
         return advance_window.bound_form(plan, method, inputs, forms, vectors, window, n_turns), vectors
 
-    advance, nothing = lru_get(_programs, key, found)
+    advance, nothing = lru_get(_programs, key, made)
     return advance, leaves, nothing
 
 
@@ -150,10 +150,10 @@ def _pace(structure: Structure, rest: Any) -> WindowPace:
     return WindowPace()
 
 
-def _where_it_stopped(times: Float[np.ndarray, " n"], found: Outcome) -> str:
+def _where_it_stopped(times: Float[np.ndarray, " n"], outcome: Outcome) -> str:
     return (
-        f"simulate: stopped at t = {float(found.t_reached):.6g} s of {times[-1]:.6g} s, after "
-        f"{int(found.stats.n_steps):,} steps; with a ts that ends there the run succeeds"
+        f"simulate: stopped at t = {float(outcome.t_reached):.6g} s of {times[-1]:.6g} s, after "
+        f"{int(outcome.stats.n_steps):,} steps; with a ts that ends there the run succeeds"
     )
 
 
@@ -323,8 +323,8 @@ def advance_window(plan: Plan, method: RunMethod, inputs: RunInputs, forms: Any,
     problem = JobKind.of(plan, method).problem(inputs.ts, method.shared)
 
     def begin() -> _UnderWay:
-        found = _started(plan, method, inputs)
-        return jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.result_type(leaf)), found)
+        started = _started(plan, method, inputs)
+        return jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.result_type(leaf)), started)
 
     def window_made() -> tuple:
         run, assembly = jax.lax.cond(n_turns[0] != 0, begin, RunCheckpoint(vectors, forms).whole)
