@@ -374,6 +374,13 @@ SCENES = {
         "nan",
     ),
     "NaN Baumgarte": (lambda: FOUR_BAR(drift=sj.solvers.Baumgarte(5.0, NAN)), "drift", "beta = nan"),
+    "Baumgarte by axes": (
+        lambda: FOUR_BAR(drift=sj.solvers.Baumgarte(np.ones(2), 5.0)),
+        "drift",
+        "alpha",
+        "one number",
+    ),
+    "Baumgarte in words": (lambda: FOUR_BAR(drift=sj.solvers.Baumgarte(5.0, "5")), "drift", "beta", "one number"),
 }
 
 

@@ -11,7 +11,7 @@ import sys
 import threading
 import types
 import warnings
-from dataclasses import make_dataclass
+from dataclasses import dataclass, make_dataclass
 
 import diffrax
 import equinox as eqx
@@ -112,6 +112,112 @@ def test_what_was_written_anew_is_simulated(what, monkeypatch):
         np.testing.assert_allclose(heights([10.0, 20.0])[0], np.cos(0.1 * np.sqrt(600.0)), rtol=1e-8)
     assert height() == expected()
     assert float(sj.simulate(made, TS).ys[-1, 2]) == expected()
+
+
+class Pulling:
+    """An object that a scene calls, with what a user writes into between two runs."""
+
+    def __init__(self):
+        self.gain, self.table, self.array = 3.0, {"gain": [3.0]}, np.array([3.0])
+        self.settings, self.latest = types.SimpleNamespace(gain=3.0), collections.deque([3.0])
+
+    def __call__(self, t, motions):
+        return self.pull(self.gain, motions)
+
+    def by_table(self, t, motions):
+        return self.pull(self.table["gain"][0], motions)
+
+    def by_array(self, t, motions):
+        return self.pull(self.array[0], motions)
+
+    def by_settings(self, t, motions):
+        return self.pull(self.settings.gain, motions)
+
+    def by_latest(self, t, motions):
+        return self.pull(self.latest[0], motions)
+
+    @staticmethod
+    def pull(gain, motions):
+        lift = -10.0 * gain * motions["bob"].position[2]
+        return jnp.stack([0.0 * lift, 0.0 * lift, lift])
+
+
+@dataclass(eq=False)
+class PullingFields:
+    gain: float = 3.0
+
+    def __call__(self, t, motions):
+        return Pulling.pull(self.gain, motions)
+
+
+class CountingObject(Pulling):
+    """The same, which counts how often it is traced."""
+
+    def __init__(self):
+        super().__init__()
+        self.n_calls = 0
+
+    def __call__(self, t, motions):
+        self.n_calls += 1
+        return super().__call__(t, motions)
+
+
+def _by_partial(table, t, motions):
+    return Pulling.pull(table["gain"], motions)
+
+
+OBJECTS: dict[str, tuple] = {
+    "a field": (Pulling, lambda one: one, lambda one: setattr(one, "gain", 60.0)),
+    "a list within a field": (Pulling, lambda one: one.by_table, lambda one: one.table["gain"].__setitem__(0, 60.0)),
+    "an array": (Pulling, lambda one: one.by_array, lambda one: one.array.__setitem__(0, 60.0)),
+    "a namespace": (Pulling, lambda one: one.by_settings, lambda one: setattr(one.settings, "gain", 60.0)),
+    "a deque": (Pulling, lambda one: one.by_latest, lambda one: one.latest.appendleft(60.0)),
+    "a dataclass": (PullingFields, lambda one: one, lambda one: setattr(one, "gain", 60.0)),
+    "an argument of a partial": (
+        lambda: {"gain": 3.0},
+        lambda one: functools.partial(_by_partial, one),
+        lambda one: one.__setitem__("gain", 60.0),
+    ),
+}
+
+
+def pulled_scene(force):
+    """The body of `scene`, which an applied force pulls."""
+    body = sj.Body(1.0, (1e-3, 1e-3, 1e-3), position=(0.0, 0.0, 1.0))
+    return sj.Scene({"bob": body}, {}, {"pull": sj.AppliedWrench("bob", force=force)}, gravity=(0.0, 0.0, 0.0))
+
+
+def pulled(force):
+    """Its height, as of `height`."""
+    return float(sj.simulate(pulled_scene(force), TS).ys[-1, 2])
+
+
+@pytest.mark.parametrize("what", OBJECTS)
+def test_objects_that_were_written_into_are_other_code(what):
+    """The structure of the scene stays equal: it holds the same object."""
+    make, function_of, write = OBJECTS[what]
+    one = make()
+    structure = jax.tree.structure(pulled_scene(function_of(one)))
+    before = user_code_fingerprint(structure)
+    assert before == user_code_fingerprint(structure)
+    write(one)
+    assert before != user_code_fingerprint(structure)
+
+
+def test_an_object_that_was_written_into_is_simulated_as_it_is():
+    one = Pulling()
+    assert pulled(one) == expected()
+    one.gain = 60.0
+    assert pulled(one) == expected(gain=60.0)
+
+
+def test_an_object_that_counts_its_calls_is_named_and_traced_once():
+    one = CountingObject()
+    with pytest.warns(RuntimeWarning, match=r"what .*CountingObject.* looks up changed while it was simulated"):
+        assert pulled(one) == expected()
+    traced = one.n_calls
+    assert pulled(one) == expected()
+    assert one.n_calls == traced
 
 
 def test_studies_see_it_too(monkeypatch):

@@ -212,6 +212,7 @@ def _check_drift(scene: Scene) -> None:
             f"drift = {scene.drift!r} is no drift control; give PostStabilization(), Projection(), Baumgarte(), "
             "NoDriftControl(), or an AbstractDriftControl of your own"
         )
+    enforce("drift control", malformed(scene.drift))
 
 
 def _check_names(scene: Scene) -> None:

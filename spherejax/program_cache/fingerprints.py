@@ -6,6 +6,7 @@ not traced (a force in a scene, a callback on the host) are identified by their 
 they look up in their modules. Addresses and the order of sets are left out, since they differ between processes.
 """
 
+import argparse
 import dataclasses
 import enum
 import functools
@@ -44,6 +45,13 @@ _STATELESS = (
     types.BuiltinFunctionType, functools.partial, property, staticmethod, classmethod,
 )  # fmt: skip
 """What does not change by being used."""
+
+
+_CONTAINERS = (list, dict, set, deque, np.ndarray)
+"""What is changed by writing into it."""
+
+_NAMESPACES = (types.SimpleNamespace, argparse.Namespace)
+"""Classes of Python's own whose objects hold a user's settings."""
 
 
 class Traced(NamedTuple):
@@ -310,12 +318,12 @@ class _Reader:
         elif isinstance(value, set | frozenset):
             around = self._around | {id(value)}
             self.word(type(value).__name__, *sorted(self._alone(part, around) for part in value))
-        elif isinstance(value, tuple | list | np.ndarray):
+        elif isinstance(value, tuple | list | np.ndarray | deque):
             self.word(type(value).__name__, len(value))
             for part in value:
                 self.value(part)
         elif isinstance(value, functools.partial):
-            self.value(("partial", value.func, value.args, value.keywords))
+            self._partial(value)
         elif isinstance(value, types.MethodType):
             self.value(("method", value.__func__, value.__self__))
         elif isinstance(value, type):
@@ -344,6 +352,15 @@ class _Reader:
         self._n_read = reader._n_read
         return fingerprint
 
+    def _partial(self, value: functools.partial) -> None:
+        arguments = [*value.args, *value.keywords.values()]
+        # What is in these changes, while the partial, by which a structure is compared, stays the same object.
+        if self._mode is _Mode.COLLECTING and any(isinstance(argument, _CONTAINERS) for argument in arguments):
+            self.user_code[id(value)] = value
+        self.value(("partial", value.func, len(value.args), tuple(value.keywords)))
+        for argument in arguments:
+            self._used(argument)
+
     def _object(self, value: Any) -> None:
         # A dunder name: a method `cache_key` of a user's own class may be about something else.
         if hasattr(type(value), "__cache_key__"):
@@ -354,17 +371,25 @@ class _Reader:
             self.value(("wrapped", type(value).__name__, wrapped))
             return
         self.value(type(value))
-        if self._reads_lookups and not dataclasses.is_dataclass(value) and is_installed(module_of(type(value)), None):
+        is_installed_kind = is_installed(module_of(type(value)), None) and not isinstance(value, _NAMESPACES)
+        if self._reads_lookups and not dataclasses.is_dataclass(value) and is_installed_kind:
             return  # a logger, a file, a table of another library: reading it would not come to an end
+        # The object too, not its class alone: its fields may change, while a structure that holds it stays equal. Of a
+        # pytree the structure says what it is.
+        if not is_versioned(module_of(type(value))) and jax.tree_util.all_leaves([value]):
+            self._skips(True, value)
         # Its fields alone: what else a dataclass holds, such as a cached property, was computed from them.
         if dataclasses.is_dataclass(value):
             fields = {field.name: getattr(value, field.name, None) for field in dataclasses.fields(value)}
         else:
             slots = [name for kind in type(value).__mro__ for name in _as_list(getattr(kind, "__slots__", ()))]
             fields = {**{name: getattr(value, name, None) for name in slots}, **getattr(value, "__dict__", {})}
+        if self._mode is _Mode.CODE_ALONE and not _is_frozen(value):
+            fields = {name: part for name, part in fields.items() if callable(part)}
+            self.word("state")
         if fields:
             self.value(fields)
-        else:
+        elif self._mode is not _Mode.CODE_ALONE:
             self._text(value)
 
     def _tree(self, tree: Any) -> None:
@@ -473,6 +498,11 @@ class _Reader:
             # The docstring is a constant of a function as well, and changes nothing that it computes.
             elif constant != doc or doc is None:
                 self.value(constant)
+
+
+def _is_frozen(value: Any) -> bool:
+    """Whether an object is a dataclass that nobody can write into."""
+    return dataclasses.is_dataclass(value) and type(value).__dataclass_params__.frozen  # pyright: ignore
 
 
 def _is_of_jax(value: Any) -> bool:
