@@ -486,6 +486,104 @@ def test_neural_law_with_a_derivative_rule_of_its_own_keeps_the_scalar_program()
         np.testing.assert_allclose(by_scalars, by_arrays, rtol=1e-12, atol=1e-12)
 
 
+class Lookup(eqx.Module):
+    """Entries of a table, of which indices, a mask and a random key say which and how."""
+
+    table: jax.Array
+    indices: jax.Array
+    mask: jax.Array
+    key: jax.Array
+
+    def __call__(self, place):
+        signs = jax.random.rademacher(self.key, self.table.shape, dtype=self.table.dtype)
+        return -place[0] * (jnp.sum(self.table[self.indices]) + jnp.sum(jnp.where(self.mask, signs * self.table, 0.0)))
+
+
+def _lookup(*indices: int) -> Lookup:
+    return Lookup(jnp.arange(1.0, 7.0), jnp.array(indices), jnp.arange(6) < 3, jax.random.key(2))
+
+
+def _end_of_push(module: eqx.Module) -> jax.Array:
+    scene = _pushed(NeuralForce(sj.Network(module)))
+    return sj.simulate(scene, np.array([0.0, 0.3]), rtol=1e-10).position("ball")[-1, 0]
+
+
+def _end_on_spring(module: Lookup) -> np.ndarray:
+    return 0.5 * np.cos(0.3 * np.sqrt(-float(module(jnp.array([1.0, 0.0])))))
+
+
+def test_indices_masks_and_keys_of_a_network_are_structure_by_value():
+    """They were compared as arrays, which ended in an error of JAX about pytrees as soon as two were looked at."""
+    one, other = _lookup(3, 5, 5), _lookup(1, 2, 4)
+    assert jax.tree.structure(sj.Network(one)) == jax.tree.structure(sj.Network(_lookup(3, 5, 5)))
+    assert jax.tree.structure(sj.Network(one)) != jax.tree.structure(sj.Network(other))
+    place = jnp.array([0.3, -0.2])
+    for module in (one, other):
+        np.testing.assert_array_equal(sj.Network(module)(place), module(place))
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::spherejax.errors.ArrayPathWarning")
+def test_indices_masks_and_keys_of_a_network_may_be_traced():
+    """As `equinox.filter_jit` traces all arrays of a module; one program serves all of their values."""
+    end = eqx.filter_jit(_end_of_push)
+    slope = eqx.filter_jit(eqx.filter_grad(_end_of_push))
+    for module in (_lookup(3, 5, 5), _lookup(1, 2, 4)):
+        np.testing.assert_allclose([_end_of_push(module), end(module)], _end_on_spring(module), rtol=1e-8)
+        gradient = slope(module)
+        assert gradient.indices is None
+        ahead, back = (
+            _end_on_spring(eqx.tree_at(lambda lookup: lookup.table, module, module.table.at[1].add(h)))
+            for h in (1e-5, -1e-5)
+        )
+        np.testing.assert_allclose(gradient.table[1], (ahead - back) / 2e-5, rtol=1e-6)
+
+
+class Spectral(eqx.Module):
+    """The real part of a complex stiffness times i."""
+
+    stiffness: jax.Array
+
+    def __call__(self, place):
+        return jnp.real(1j * self.stiffness) * place[0]
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::spherejax.errors.ArrayPathWarning")
+def test_complex_numbers_of_a_network_keep_their_imaginary_parts():
+    """They lost them, with a warning of NumPy alone, and none within `jax.jit`."""
+    stiffness = jnp.array(3.0 + 4.0j)
+    np.testing.assert_allclose(_end_of_push(Spectral(stiffness)), 0.5 * np.cos(0.6), rtol=1e-8)
+    slope = jax.jit(jax.grad(lambda stiffness: _end_of_push(Spectral(stiffness))))(stiffness)
+    # JAX's gradient by x + iy is d/dx - i d/dy.
+    np.testing.assert_allclose(slope, 1j * 0.5 * np.sin(0.6) * 0.3 / 4.0, rtol=1e-6, atol=1e-9)
+
+
+def test_complex_numbers_of_a_part_are_refused():
+    class Own(NeuralForce):
+        gain: jax.Array
+
+    force = Own(_network(jnp.tanh), jnp.array(1.0 + 2.0j))
+    with pytest.raises(sj.errors.SceneError, match=r"force 'law' .* holds complex numbers"):
+        sj.simulate(_pushed(force), np.array([0.0, 0.1]))
+
+
+NOISE_KEY = jax.random.key(5)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::spherejax.errors.ArrayPathWarning")
+def test_a_force_may_draw_by_a_random_key_that_it_looks_up():
+    """The key is a constant of its program, of a type that NumPy has no arrays of."""
+
+    def force(t, motions):
+        return -jax.random.uniform(NOISE_KEY, (3,)) * motions["ball"].position
+
+    run = sj.simulate(_pushed(sj.AppliedWrench("ball", force)), np.array([0.0, 0.3]), rtol=1e-10)
+    drawn = float(jax.random.uniform(NOISE_KEY, (3,))[0])
+    np.testing.assert_allclose(run.position("ball")[-1, 0], 0.5 * np.cos(0.3 * np.sqrt(drawn)), rtol=1e-8)
+
+
 @pytest.mark.slow
 def test_neural_law_is_trained_through_the_simulator():
     """Gradients by all of its numbers agree with differences, and a few steps along them fit a stiffening spring."""

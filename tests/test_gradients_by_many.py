@@ -430,6 +430,32 @@ def test_a_start_that_is_assembled_by_array_code_has_its_derivatives(monkeypatch
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::spherejax.errors.ArrayPathWarning")
+def test_a_law_with_a_loop_that_has_no_reverse_mode_is_differentiated_by_rows():
+    """Its gradient by up to 32 numbers was right, that by more ended in JAX's error about `while_loop`."""
+
+    def root(value):
+        """Its square root, by Newton's method."""
+        goes_on, turn = lambda x: jnp.abs(x * x - value) > 1e-13, lambda x: 0.5 * (x + value / x)
+        return jax.lax.while_loop(goes_on, turn, 1.0 + 0 * value)
+
+    def end(numbers):
+        def force(t, motions):
+            pull = root(jnp.sum(numbers)) * motions["ball"].position[0]
+            return jnp.stack([-pull, 0 * pull, 0 * pull])
+
+        ball = sj.Body(1.0, (1, 1, 1), position=(0.5, 0, 0))
+        scene = sj.Scene({"ball": ball}, forces={"law": sj.AppliedWrench("ball", force)}, gravity=(0, 0, 0))
+        return sj.simulate(scene, jnp.array([0.0, 0.3]), rtol=1e-10).position("ball")[-1, 0]
+
+    # x = cos(w t) / 2 with w^4 the sum of the numbers.
+    w = 2.0
+    slope = -0.5 * 0.3 * np.sin(0.3 * w) / (4 * w**3)
+    gradient = jax.jit(jax.grad(end))(jnp.full(MANY + 4, w**4 / (MANY + 4)))
+    np.testing.assert_allclose(gradient, slope, rtol=1e-6)
+
+
+@pytest.mark.slow
 def test_a_gradient_of_many_bodies_is_made_of_rows():
     """XLA ends the process where it compiles the way back of array code with joints."""
     scene, ts = sj.gallery.chain(42), jnp.linspace(0.0, 0.2, 3)

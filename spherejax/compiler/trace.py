@@ -76,6 +76,8 @@ class Interpreter:
         """The names of an array's entries, constants."""
         if isinstance(value, jax.core.Tracer):
             raise NotScalarizable("the function closes over a traced value; pass it as an argument")
+        if hasattr(value, "dtype") and jax.numpy.issubdtype(value.dtype, jax.dtypes.extended):
+            raise NotScalarizable("keys of random numbers have no scalar rule")
         array = np.asarray(value)
         if array.dtype == jax.dtypes.float0:  # the tangent of an index has no values; nothing reads it
             array = np.zeros(array.shape, BOOL)

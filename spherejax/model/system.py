@@ -370,6 +370,11 @@ def check_leaves(place: str, part: Any) -> None:
                 f"{place} ({type(part).__name__}) holds {leaf!r} among its numbers; declare names and functions "
                 "with equinox.field(static=True), or wrap a network: sj.Network(module)"
             )
+        if jnp.iscomplexobj(leaf):
+            raise SceneError(
+                f"{place} ({type(part).__name__}) holds complex numbers; a scene has real ones. Give real and "
+                "imaginary parts, or wrap the module that holds them: sj.Network(module)"
+            )
 
 
 LARGE_MASS_RATIO = 1e4

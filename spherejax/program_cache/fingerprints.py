@@ -279,7 +279,8 @@ class _Reader:
             return
         # The type and the shape as well: the same bytes are other numbers to another type.
         if hasattr(value, "dtype") and jnp.issubdtype(value.dtype, jax.dtypes.extended):
-            value = jax.random.key_data(value)  # NumPy has no arrays of keys
+            with jax.ensure_compile_time_eval():  # within a transformation it is a constant all the same
+                value = jax.random.key_data(value)  # NumPy has no arrays of keys
         array = np.asarray(value)
         self.word("array", array.dtype, array.shape)
         self._hash.update(np.ascontiguousarray(array).tobytes())

@@ -143,7 +143,10 @@ class Value(NamedTuple):
 
 def kind_of(dtype: Any) -> str:
     """As what numbers of a type are computed."""
-    dtype = np.dtype(dtype)
+    try:
+        dtype = np.dtype(dtype)
+    except TypeError:  # of keys of random numbers, which are no type of NumPy
+        raise NotWrittenError(f"numbers of type {dtype}") from None
     if dtype == np.float64:
         return "double"
     # Counters of loops: JAX makes some of 32 bits. All are computed with 64, which gives the same numbers below 2^31.
@@ -229,8 +232,8 @@ class ArrayText:
 
     def known(self, value: Any) -> Value:
         """A constant."""
+        kind = kind_of(value.dtype if hasattr(value, "dtype") else np.result_type(value))
         array = np.asarray(value)
-        kind = kind_of(array.dtype)
         if array.size == 1:  # stands in the instructions themselves, where LLVM folds it
             return Value(array.shape, kind, constant(array.ravel()[0], kind))
         # By its bytes: 0.0 and -0.0, and NaN, are told apart.

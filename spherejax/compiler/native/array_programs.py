@@ -207,6 +207,8 @@ class Known:
     """A constant while the text is written."""
 
     def __init__(self, array: Any):
+        if jnp.issubdtype(jnp.result_type(array), jax.dtypes.extended):
+            raise NotWrittenError("keys of random numbers")
         self.array = np.asarray(array)
         self.shape, self.size = self.array.shape, self.array.size
 

@@ -81,8 +81,10 @@ LARGEST_TABLE = 2**16
 
 def is_index(constant: Any) -> bool:
     """Whether a value is known and made of whole numbers or truths: what it is depends on no number of a scene."""
-    is_small = jax.numpy.size(constant) <= LARGEST_TABLE
-    return is_small and not isinstance(constant, Tracer) and jax.numpy.result_type(constant) != np.float64
+    if isinstance(constant, Tracer) or jax.numpy.size(constant) > LARGEST_TABLE:
+        return False
+    dtype = jax.numpy.result_type(constant)
+    return any(jax.numpy.issubdtype(dtype, kind) for kind in (np.integer, np.bool_))
 
 
 def bound(arrays: Sequence[Any], written: "WrittenLoop", results: Sequence[Any]) -> list[Any]:

@@ -326,10 +326,12 @@ def can_go_back(plan: Plan) -> bool:
     """Whether the steps of a run can be gone back.
 
     Those of array code with joints cannot: XLA (JAX 0.10) ends the process where it compiles the way back through their
-    elimination. Rows take their place; they are right, and take as long as a run for each number.
+    elimination. Nor can those of a law with a loop that JAX has no reverse mode for. Rows take their place; they are
+    right, and take as long as a run for each number.
     """
-    is_array_code = program_for(state_rate, plan.structure, plan.scalar).scalar is None
-    return not (is_array_code and example_of(plan.structure).joints)
+    rate = program_for(state_rate, plan.structure, plan.scalar)
+    is_array_code_of_joints = rate.scalar is None and bool(example_of(plan.structure).joints)
+    return not is_array_code_of_joints and rate.can_be_transposed
 
 
 def gradient_of(plan: Plan, method: RunMethod, inputs: RunInputs, directions, by_ys) -> Float[Array, " p"]:

@@ -139,6 +139,23 @@ class Program:
         return is_read[argument]
 
     @cached_property
+    def can_be_transposed(self) -> bool:
+        """Whether JAX takes derivatives in reverse mode: not of array code with `jax.lax.while_loop`, as a user's law
+        may have that solves an equation."""
+        if self.scalar is not None:
+            return True
+        theta, number, state = _shapes(self.structure, None)
+
+        def back(theta, t, y):
+            return jax.vjp(lambda theta, y: self(theta, t, y), theta, y)[1](y)
+
+        try:
+            jax.eval_shape(back, theta, number, state)
+        except (NotImplementedError, TypeError, ValueError):
+            return False
+        return True
+
+    @cached_property
     def numbers_read(self) -> np.ndarray | None:
         """Indices of the parameters that it depends on; None of array code."""
         return None if self.scalar is None else self.scalar.entries_read(0)

@@ -12,11 +12,21 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from spherejax.foundations.checks import Requirement
 from spherejax.foundations.errors import SceneError
 from spherejax.foundations.types import Number, Numeric, Scalar
-from spherejax.physics.functions.closures import Template, closure_converted, is_number
+from spherejax.physics.functions.closures import (
+    ConstantArray,
+    Placeholder,
+    Template,
+    as_float,
+    closure_converted,
+    is_number,
+    is_tracer,
+    restored,
+)
 from spherejax.physics.renamed import by_new_name, take_old_name
 
 
@@ -125,11 +135,14 @@ class Network(eqx.Module):
         sj.SpringDamper(ends, law=law)    # law(length, rate, t) has three arguments: MLP(3, ...) of jnp.stack([...])
 
     Attributes:
-        numbers: its arrays.
+        numbers: its arrays of a floating type; as float64, those of complex numbers, real and imaginary parts, and
+            traced arrays of another type.
         structure: all else of it (static).
 
     Limits: activations of `jax.nn` keep the scalar program, those with derivative rules of their own (`relu`) as well.
-    Arrays of a floating type alone are numbers.
+    Arrays of whole numbers, truths and random keys are structure, and are compared by value: two modules with other
+    indices are two programs. Where JAX traces such an array (`equinox.filter_jit`), it is among the numbers, without
+    derivatives, and one program serves all of its values.
     """
 
     numbers: tuple[Any, ...]
@@ -137,17 +150,35 @@ class Network(eqx.Module):
 
     def __init__(self, module: Any):
         leaves, tree = jax.tree.flatten(module)
-        which = tuple(map(is_number, leaves))
-        self.numbers = tuple(leaf for leaf, number in zip(leaves, which, strict=True) if number)
-        others = tuple(leaf for leaf, number in zip(leaves, which, strict=True) if not number)
-        self.structure = (tree, which, others)
+        numbers: list = []
+        parts = tuple(self._part(leaf, numbers) for leaf in leaves)
+        self.numbers, self.structure = tuple(numbers), (tree, parts)
+
+    @staticmethod
+    def _part(leaf: Any, numbers: list) -> Any:
+        """What stands for a leaf in the structure; if it is among the numbers, it is appended to these."""
+        is_complex = is_number(leaf) and jnp.iscomplexobj(leaf)
+        if is_complex or (is_tracer(leaf) and not is_number(leaf)):
+            numbers.append(as_float(leaf))
+            return Placeholder(len(numbers) - 1, jnp.result_type(leaf))
+        if is_number(leaf):
+            numbers.append(leaf)
+            return Placeholder(len(numbers) - 1, None)
+        return ConstantArray(leaf) if isinstance(leaf, np.ndarray | jax.Array) else leaf
 
     @property
     def module(self) -> Any:
         """The module, with the numbers of now."""
-        tree, which, others = self.structure
-        numbers, rest = iter(self.numbers), iter(others)
-        return jax.tree.unflatten(tree, [next(numbers) if number else next(rest) for number in which])
+        tree, parts = self.structure
+
+        def leaf(part: Any) -> Any:
+            if isinstance(part, ConstantArray):
+                return part.array
+            if not isinstance(part, Placeholder):
+                return part
+            return self.numbers[part.index] if part.dtype is None else restored(part, self.numbers)
+
+        return jax.tree.unflatten(tree, map(leaf, parts))
 
     def __call__(self, *arguments) -> Any:
         """The module's value."""

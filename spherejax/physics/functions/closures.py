@@ -45,6 +45,34 @@ class Placeholder(NamedTuple):
     dtype: Any
 
 
+class ConstantArray:
+    """An array that is structure: hashable, equal to another one of the same type with the same entries.
+
+    Attributes:
+        array: the array; nobody writes into it.
+    """
+
+    def __init__(self, array: Any):
+        self.array = array
+        is_key = jnp.issubdtype(array.dtype, jax.dtypes.prng_key)
+        with jax.ensure_compile_time_eval():  # within a transformation it is a constant all the same
+            entries = np.asarray(jax.random.key_data(array) if is_key else array)
+        self._key = str(array.dtype), entries.shape, entries.tobytes()
+
+    def __cache_key__(self) -> Any:
+        """What `fingerprints` takes for it."""
+        return self._key
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, ConstantArray) and self._key == other._key
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+    def __repr__(self) -> str:
+        return f"ConstantArray({self.array!r})"
+
+
 class Template:
     """A callable with placeholders for what it captured: static, hashable, free of tracers.
 
@@ -62,7 +90,7 @@ class Template:
         Args:
             values: one for each placeholder.
         """
-        return _replaced(self._frame, lambda one: isinstance(one, Placeholder), lambda one: _restored(one, values))
+        return _replaced(self._frame, lambda one: isinstance(one, Placeholder), lambda one: restored(one, values))
 
     def __cache_key__(self) -> Any:
         """What `fingerprints` takes for it."""
@@ -107,7 +135,7 @@ def closure_converted(function: Callable) -> Converted | None:
     def taken(value: Any) -> Placeholder:
         if id(value) not in met:
             met[id(value)] = Placeholder(len(values), _dtype_of(value))
-            values.append(_as_float(value))
+            values.append(as_float(value))
             kept_alive.append(value)
         return met[id(value)]
 
@@ -115,16 +143,17 @@ def closure_converted(function: Callable) -> Converted | None:
     if isinstance(function, eqx.Module):
         frame = jax.tree.map(lambda leaf: taken(leaf) if is_number(leaf) else leaf, function)
     n_leaves = len(values)
-    frame = _replaced(frame, _is_tracer, taken)
+    frame = _replaced(frame, is_tracer, taken)
     return Converted(Template(frame), tuple(values)) if len(values) > n_leaves else None
 
 
 def is_number(leaf: Any) -> bool:
     """Whether a leaf of a module is numbers of a floating type; an equinox of 2026 asks tracers for what they lack."""
-    return jnp.issubdtype(leaf.dtype, jnp.inexact) if _is_tracer(leaf) else eqx.is_inexact_array_like(leaf)
+    return jnp.issubdtype(leaf.dtype, jnp.inexact) if is_tracer(leaf) else eqx.is_inexact_array_like(leaf)
 
 
-def _is_tracer(value: Any) -> bool:
+def is_tracer(value: Any) -> bool:
+    """Whether JAX traces a value."""
     return isinstance(value, jax.core.Tracer)
 
 
@@ -132,7 +161,7 @@ def _dtype_of(value: Any) -> Any:
     return getattr(value, "dtype", None) or np.dtype(np.float64)
 
 
-def _as_float(value: Any) -> Any:
+def as_float(value: Any) -> Any:
     """A leaf for the vector of all numbers; float64 carries integers up to 2^53, and the words of a random key."""
     dtype = _dtype_of(value)
     if jnp.issubdtype(dtype, jax.dtypes.prng_key):
@@ -142,7 +171,8 @@ def _as_float(value: Any) -> Any:
     return jnp.asarray(value).astype(jnp.float64) if dtype != np.float64 else value
 
 
-def _restored(place: Placeholder, values: tuple) -> Any:
+def restored(place: Placeholder, values: tuple) -> Any:
+    """A captured value of its own type again, from the leaves."""
     value, dtype = jnp.asarray(values[place.index]), place.dtype
     if jnp.issubdtype(dtype, jax.dtypes.prng_key):
         return jax.random.wrap_key_data(value.astype(jnp.uint32), impl=jax.random.key_impl(jnp.zeros((0,), dtype)))
@@ -167,7 +197,7 @@ _EMPTY = types.CellType()
 
 
 def _is_atom(value: Any) -> bool:
-    return isinstance(value, Placeholder) or (isinstance(value, _ATOMS) and not _is_tracer(value))
+    return isinstance(value, Placeholder) or (isinstance(value, _ATOMS) and not is_tracer(value))
 
 
 def _inner(value: Any) -> list:
