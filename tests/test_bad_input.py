@@ -44,6 +44,15 @@ def loose():
     return sj.Scene(dict.fromkeys(("one", "two", "wanderer"), body), {"left": sj.Spherical("one.p", "two.p")})
 
 
+def sprung(function):
+    """A body on a spring."""
+    body = sj.Body(1.0, (1.0, 1.0, 1.0), position=(0.0, 0.0, 1.0))
+    return sj.Scene({"bob": body}, {}, {"hook": sj.SpringDamper(("ground", "bob"), spring=function)})
+
+
+LINER = sj.laws.WinklerLiner(1e8, 0.4, 1e-3)
+
+
 def unclosable():
     scene = FOUR_BAR()
     return eqx.tree_at(lambda s: s.bodies["crank"].points["pin"], scene, np.array([0.0, 0.0, 1.0]))
@@ -379,6 +388,41 @@ SCENES = {
         "drift",
         "alpha",
         "one number",
+    ),
+    "texts for coefficients": (
+        lambda: sprung(sj.functions.Polynomial(["a", 1.0])),
+        "hook",
+        "coefficients = ['a', 1.0]",
+    ),
+    "texts in a table": (lambda: sprung(sj.functions.Table([0, 1], ["a", "b"])), "hook", "y = ['a', 'b']"),
+    "texts for depths": (
+        lambda: FOUR_BAR(sj.Dry(1e-4, socket_depth=sj.laws.HarmonicDepth(["a"]))),
+        "coupler_rocker",
+        "socket_depth.coefficients = ['a']",
+    ),
+    "complex coefficients": (lambda: sprung(sj.functions.Polynomial(np.array([1j, 2.0]))), "hook", "coefficients"),
+    "truth values for coefficients": (lambda: sprung(sj.functions.Polynomial([True, 2.0])), "hook", "coefficients"),
+    "truth value within pieces": (
+        lambda: sprung(sj.functions.Piecewise([0.0], [sj.functions.Linear(True), sj.functions.Linear(1.0)])),
+        "hook",
+        "pieces[0].slope = True must be one number",
+    ),
+    "three slopes within a sum": (
+        lambda: sprung(sj.functions.Sum(sj.functions.Linear(1.0), sj.functions.Linear(np.ones(3)))),
+        "hook",
+        "terms[1].slope",
+        "must be one number",
+    ),
+    "None for a point": (
+        lambda: sj.Revolute(("ground", "rod"), None, (0.0, 1.0, 0.0)),
+        "None is no point",
+        "three numbers",
+    ),
+    "a cup along no direction": (
+        lambda: FOUR_BAR(sj.Lubricated(1e-4, film=sj.laws.LinedSocket(LINER, axis=(NAN, 0.0, 1.0)))),
+        "coupler_rocker",
+        "film.axis|axis",
+        "direction in space",
     ),
     "Baumgarte in words": (lambda: FOUR_BAR(drift=sj.solvers.Baumgarte(5.0, "5")), "drift", "beta", "one number"),
 }

@@ -97,6 +97,9 @@ def of_form(name: str, value: Any, annotation: Any) -> Iterator[Requirement]:
         yield Requirement(name, value, False, "be True or False", "Give one of the two.")
     elif get_origin(annotation) is Mapping:
         yield from _entries(name, value, get_args(annotation)[1])
+    elif get_origin(annotation) is tuple and get_args(annotation)[1:] == (...,) and isinstance(value, tuple | list):
+        for i, one in enumerate(value):
+            yield from of_form(f"{name}[{i}]", one, get_args(annotation)[0])
 
 
 def _fits(shape: tuple[int, ...], allowed: tuple[int, ...]) -> bool:

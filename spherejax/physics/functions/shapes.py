@@ -141,8 +141,8 @@ class Polynomial(_KnowsPrimitive):
         c = numeric(self.coefficients)
         if c.ndim != 1 or c.size == 0:
             remedy = "Give the lowest power first, e.g. [0.0, 1e4] for 1e4 x."
-            return [Requirement("coefficients", c, False, "be a list of one or more numbers", remedy)]
-        return [finite("coefficients", c), finite("center", self.center)]
+            return [Requirement("coefficients", self.coefficients, False, "be a list of one or more numbers", remedy)]
+        return [finite("coefficients", self.coefficients), finite("center", self.center)]
 
 
 class Sine(_KnowsPrimitive):

@@ -172,13 +172,13 @@ def _interior_slopes(h, d):
     return jnp.where(monotone, harmonic, 0.0)
 
 
-def _requirements(x, y) -> list[Requirement]:
-    x, y = numeric(x), numeric(y)
+def _requirements(abscissae, ordinates) -> list[Requirement]:
+    x, y = numeric(abscissae), numeric(ordinates)
     if x.ndim != 1 or x.shape != y.shape or x.shape[0] < 2:
         expected = "be a list of two or more numbers, as many as y"
-        return [Requirement("x", x, False, expected, "Give one ordinate y for each abscissa x.")]
+        return [Requirement("x", abscissae, False, expected, "Give one ordinate y for each abscissa x.")]
     increasing = (x[1:] > x[:-1]).all() & (abs(x) < np.inf).all()
     return [
-        Requirement("x", x, increasing, "increase and be finite", "Sort the points and leave out doubles."),
-        Requirement("y", y, abs(y) < np.inf, "be finite", "Check the table."),
+        Requirement("x", abscissae, increasing, "increase and be finite", "Sort the points and leave out doubles."),
+        Requirement("y", ordinates, abs(y) < np.inf, "be finite", "Check the table."),
     ]

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from spherejax.foundations.checks import Requirement, concretely, is_concrete
+from spherejax.foundations.errors import SceneError
 from spherejax.foundations.rotation import (
     conjugate,
     normalized,
@@ -83,7 +84,13 @@ def world_at_start(bodies: Mapping[str, Body], name: str):
 
 
 def split_point(point) -> tuple[str | None, Numeric | None]:
-    """A point as its name, if it is given by `"body.point"`, or as its numbers: one of the two is None."""
+    """A point as its name, if it is given by `"body.point"`, or as its numbers: one of the two is None.
+
+    Raises:
+        SceneError: for None, which would stand for the name.
+    """
+    if point is None:
+        raise SceneError('None is no point; give three numbers in world axes at the start [m], or a name, "arm.tip"')
     return (point, None) if isinstance(point, str) else (None, numbers(point))
 
 

@@ -265,13 +265,20 @@ class LinedSocket(AbstractFilm):
     def requirements(self) -> list[Requirement]:
         """A liner, a cup with a rim and a direction, and numbers of cells."""
         cover, axis = numeric(self.cover), numeric(self.axis)
+        square = (axis**2).sum()
         fits = (cover > 0) & (cover <= WIDEST_COVER)
         return [
             *(r._replace(field=f"liner.{r.field}") for r in self.liner.requirements()),
             Requirement(
                 "cover", self.cover, fits, f"lie in (0, {WIDEST_COVER}] rad", "A hemisphere has pi/2; leave it out."
             ),
-            Requirement("axis", self.axis, (axis != 0).any(), "be a direction in space", "Leave it out for (0, 0, 1)."),
+            Requirement(
+                "axis",
+                self.axis,
+                (square > 0) & (square < np.inf),
+                "be a direction in space",
+                "Leave it out for (0, 0, 1).",
+            ),
             _count("rings", self.rings, FEWEST_RINGS, MOST_RINGS, 6),
             _count("around", self.around, FEWEST_AROUND, MOST_AROUND, 12),
         ]
