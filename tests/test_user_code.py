@@ -1,5 +1,6 @@
 """Code of a user's own is simulated as it is now: helpers, constants and methods that were written anew are seen."""
 
+import array
 import collections
 import enum
 import functools
@@ -166,7 +167,37 @@ def _by_partial(table, t, motions):
     return Pulling.pull(table["gain"], motions)
 
 
+class PullingTable(dict):
+    """The same, by what is in it."""
+
+    def __hash__(self):  # the structure of a scene is hashed
+        return id(self)
+
+    def __call__(self, t, motions):
+        return Pulling.pull(self["gain"], motions)
+
+
+def _with_attribute():
+    def force(t, motions):
+        return Pulling.pull(force.gain, motions)
+
+    force.gain = 3.0
+    return force
+
+
+def _looking_up(numbers):
+    return lambda t, motions: Pulling.pull(numbers[0], motions)
+
+
 OBJECTS: dict[str, tuple] = {
+    "an attribute of a function": (_with_attribute, lambda one: one, lambda one: setattr(one, "gain", 60.0)),
+    "a table of a user's own class": (
+        lambda: PullingTable(gain=3.0),
+        lambda one: one,
+        lambda one: one.__setitem__("gain", 60.0),
+    ),
+    "an array of Python": (lambda: array.array("d", [3.0]), _looking_up, lambda one: one.__setitem__(0, 60.0)),
+    "an array with labels": (lambda: xarray.DataArray([3.0]), _looking_up, lambda one: one.__setitem__(0, 60.0)),
     "a field": (Pulling, lambda one: one, lambda one: setattr(one, "gain", 60.0)),
     "a list within a field": (Pulling, lambda one: one.by_table, lambda one: one.table["gain"].__setitem__(0, 60.0)),
     "an array": (Pulling, lambda one: one.by_array, lambda one: one.array.__setitem__(0, 60.0)),

@@ -7,6 +7,7 @@ they look up in their modules. Addresses and the order of sets are left out, sin
 """
 
 import argparse
+import array
 import dataclasses
 import enum
 import functools
@@ -310,6 +311,8 @@ class _Reader:
             self.word("met", self._met[id(value)][0])
 
     def _composed(self, value: Any) -> None:
+        if self._mode is _Mode.COLLECTING and isinstance(value, _CONTAINERS) and callable(value):
+            self.user_code[id(value)] = value  # of a user's own class, which derives from a container
         if isinstance(value, Mapping):
             self.word(type(value).__name__, len(value))
             # In a fixed order: two dictionaries that were filled in another order are equal.
@@ -374,7 +377,8 @@ class _Reader:
         self.value(type(value))
         is_installed_kind = is_installed(module_of(type(value)), None) and not isinstance(value, _NAMESPACES)
         if self._reads_lookups and not dataclasses.is_dataclass(value) and is_installed_kind:
-            return  # a logger, a file, a table of another library: reading it would not come to an end
+            self._installed(value)
+            return
         # The object too, not its class alone: its fields may change, while a structure that holds it stays equal. Of a
         # pytree the structure says what it is.
         if not is_versioned(module_of(type(value))) and jax.tree_util.all_leaves([value]):
@@ -392,6 +396,13 @@ class _Reader:
             self.value(fields)
         elif self._mode is not _Mode.CODE_ALONE:
             self._text(value)
+
+    def _installed(self, value: Any) -> None:
+        """An object of another library: its numbers where it is an array (`pandas.Series`, `array.array`), and no more.
+        To read a logger, a file or a table whole would not come to an end."""
+        if hasattr(type(value), "__array__") or isinstance(value, array.array | bytearray):
+            with suppress(Exception):  # an `xarray.Dataset` has the method, and raises
+                self.value(np.asarray(value))
 
     def _tree(self, tree: Any) -> None:
         """A structure of JAX, by an example of it: its text would not tell one function in it from another."""
@@ -441,6 +452,12 @@ class _Reader:
         self._count()
         self._code(function.__code__, function.__doc__)
         self._closed_over(function)
+        if self._reads_lookups:
+            # What a decorator notes of a function (`__wrapped__`) is code; all else may count calls, and is state.
+            for name in sorted(function.__dict__):
+                self.word(name)
+                is_code = callable(function.__dict__[name])
+                self._used(function.__dict__[name] if is_code or self._mode is _Mode.CODE else None)
         assigned = assigned_in(function.__code__) if self._reads_lookups else frozenset()
         for name, used in used_of_modules(function) if self._reads_lookups else ():
             self.word(name)
