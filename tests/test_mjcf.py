@@ -5,6 +5,7 @@ matrix, forces and constraint Jacobian have where nothing gives way.
 """
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import jax.numpy as jnp
 import numpy as np
@@ -585,6 +586,20 @@ def test_what_the_compiler_refuses_is_told_in_its_words(written, tmp_path):
         sj.load_mjcf(tmp_path / "none.xml")
     with pytest.raises(sj.SceneError, match="ignore: 'actuator' is unknown; did you mean 'actuators'"):
         sj.load_mjcf(written(one_joint("<joint/>")), ignore=("actuator",))
+
+
+def test_a_file_on_which_the_compiler_fails_is_named(written, monkeypatch):
+    """As on an empty `anchor`. MuJoCo 4.0 then waits forever in the next file, so it is not made to here."""
+
+    def fail(path):
+        raise RuntimeError("Caught an unknown exception!")
+
+    failing = SimpleNamespace(MjModel=SimpleNamespace(from_xml_path=fail))
+    monkeypatch.setattr("spherejax.files.robots.mjcf_model.library", lambda: failing)
+    with pytest.raises(
+        sj.SceneError, match=r"model\.xml: MuJoCo's compiler failed: Caught an unknown.*empty attributes"
+    ):
+        sj.load_mjcf(written(one_joint("<joint/>")))
 
 
 def test_a_model_is_saved_and_read_to_the_last_bit(written, tmp_path):

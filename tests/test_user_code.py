@@ -274,6 +274,13 @@ def test_studies_see_it_too(monkeypatch):
     assert found() == expected_for(12.0)
 
 
+def test_steps_of_a_state_that_was_made_before_see_it_too(monkeypatch):
+    state = sj.start(scene())
+    assert float(sj.advance(state, 0.1).y[2]) == expected()
+    monkeypatch.setattr(THIS, "GAIN", 60.0)
+    assert float(sj.advance(state, 0.1).y[2]) == expected(gain=60.0)
+
+
 def test_a_method_that_was_replaced_is_called(monkeypatch):
     def wrenches(self, t, motions):
         lift = -100.0 * self.stiffness * motions[self.body].position[2]

@@ -103,6 +103,9 @@ def compiled(path: Path) -> CompiledFile:
         model = mujoco.MjModel.from_xml_path(str(path))
     except ValueError as error:
         raise SceneError(f"{path}: MuJoCo's compiler: {' '.join(str(error).split())}") from error
+    except RuntimeError as error:  # MuJoCo 4.0 on an empty anchor; it then waits forever on a lock in the next file
+        remedy = "Look for empty attributes, and read the next file in a new process"
+        raise SceneError(f"{path}: MuJoCo's compiler failed: {' '.join(str(error).split())} {remedy}") from error
     objects = mujoco.mjtObj
     bodies = [mujoco.mj_id2name(model, objects.mjOBJ_BODY, i) or f"body_{i}" for i in range(model.nbody)]
     joints = [mujoco.mj_id2name(model, objects.mjOBJ_JOINT, i) or _unnamed(model, bodies, i) for i in range(model.njnt)]

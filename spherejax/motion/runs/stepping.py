@@ -22,7 +22,15 @@ from spherejax.foundations.types import Number
 from spherejax.model.captured import captures_explained
 from spherejax.model.numbers import part_at, place_at, with_entry
 from spherejax.model.scene import Scene
-from spherejax.model.system import System, example_of, flatten_by_factor, flatten_system, split, with_laws_by_factor
+from spherejax.model.system import (
+    System,
+    example_of,
+    flatten_by_factor,
+    flatten_system,
+    split,
+    user_code_fingerprint,
+    with_laws_by_factor,
+)
 from spherejax.motion.derivatives.sensitivities import depends_on_time, integrate_with_sensitivities
 from spherejax.motion.equations.contacts import abrupt_contacts
 from spherejax.motion.equations.programs import path_of
@@ -293,7 +301,8 @@ def _by_known_numbers(state: MotionState, names: tuple[str, ...]) -> Hashable | 
     """What steps are kept by; there is nothing for a state with traced numbers."""
     if any(leaf is None for leaf in state.known.leaves):
         return None
-    return state.known, state.settings, state.scalar, names
+    # The code of the scene is what it is now, not what it was when the state was made.
+    return state.known, user_code_fingerprint(state.known.tree), state.settings, state.scalar, names
 
 
 @memoized(N_SCENES, _by_known_numbers)
