@@ -411,3 +411,28 @@ def test_without_jit_a_run_is_made_by_jax_alone():
     expected = sj.simulate(scene, ts).ys
     with jax.disable_jit():
         np.testing.assert_allclose(sj.simulate(scene, ts).ys, expected, rtol=1e-12, atol=1e-12)
+
+
+def test_whole_numbers_of_32_bits_wrap_around():
+    """As a law may have that makes noise by a generator of its own; machine code computes with 64 bits."""
+
+    def noise(x):
+        def turn(carry):
+            i, k, total = carry
+            k = k * jnp.int32(1664525) + jnp.int32(1013904223)
+            wide = (k.astype(jnp.int64) * 3).astype(jnp.int32)
+            return i + 1, jnp.where(-k > 0, k, wide - k), total + k.astype(jnp.float64) * x
+
+        seed = jnp.where(x > 0, 7, 5)
+        begin = jnp.zeros((), jnp.int64), seed.astype(jnp.int64), jnp.zeros(())
+
+        def widened(carry):
+            i, k, total = turn((carry[0], carry[1].astype(jnp.int32), carry[2]))
+            return i, k.astype(jnp.int64), total
+
+        return jax.lax.while_loop(lambda carry: carry[0] < 9, widened, begin)[1:]
+
+    results, expected = in_machine_code(noise, jnp.array(0.5)), noise(jnp.array(0.5))
+    for one, other in zip(results, expected, strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert abs(int(results[0])) < 2**31

@@ -34,6 +34,7 @@ from spherejax.compiler.operations import (
     DOUBLE,
     FLOAT,
     INT,
+    MAY_OVERFLOW,
     OPERATIONS,
     TRUTH,
     WHOLE,
@@ -109,13 +110,22 @@ def written_by_entry(
     call = Call(tuple(value.kind for value in values), kind_of(aval.dtype), parameters)
     if not operation.can_be_llvm(call):
         raise NotWrittenError(f"{operation.name} of {' and '.join(call.kinds)}")
-    if operation.copies and call.kinds == (call.kind,):
+    wraps = aval.dtype == np.int32 and operation.name in MAY_OVERFLOW
+    if operation.copies and call.kinds == (call.kind,) and not wraps:
         return [values[0].as_shape(aval.shape)]  # nothing is written: it stays where it is
 
     def write(width: int, *names: str) -> str:
-        return operation.in_llvm(text.at(width), call, *names)
+        writer = text.at(width)
+        number = operation.in_llvm(writer, call, *names)
+        return in_32_bits(writer, number) if wraps else number
 
     return [text.entrywise(aval.shape, call.kind, values, write)]
+
+
+def in_32_bits(text: Any, number: str) -> str:
+    """A whole number, computed with 64 bits, as JAX has it with 32: it wraps around."""
+    typed, bits = text.type(WHOLE), text.number(32, WHOLE)
+    return text.made(f"ashr {typed} {text.made(f'shl {typed} {number}, {bits}')}, {bits}")
 
 
 def _selected(text: ArrayText, which: str, on_false: Value, on_true: Value, shape: Sequence[int]) -> Value:
@@ -446,6 +456,8 @@ def _reduction(name: str, by: str, start: Mapping[np.dtype, Any]) -> ArrayOperat
         (aval,), (value,) = avals, values
         kind = value.kind
         call = Call((kind, kind), kind, {})
+        if aval.dtype == np.int32 and name in MAY_OVERFLOW:
+            raise NotWrittenError(f"{name} of numbers of type {aval.dtype}")
         if value.size == aval.size or not aval.size:
             return [value.as_shape(aval.shape)]  # nothing is put together
         if value.size > LARGEST_WRITTEN_OUT and aval.size > 1:
@@ -503,6 +515,8 @@ def _cumulative(name: str, by: str) -> ArrayOperation:
     def llvm(text: ArrayText, values: Sequence[Value], parameters: Any, avals: Sequence[Any]) -> list[Value]:
         (aval,), (value,) = avals, values
         call = Call((value.kind, value.kind), value.kind, {})
+        if aval.dtype == np.int32 and by in MAY_OVERFLOW:
+            raise NotWrittenError(f"{name} of numbers of type {aval.dtype}")
         if parameters["axis"] != 0 or parameters["reverse"] or not operation.can_be_llvm(call):
             raise NotWrittenError(f"{name} from the end, or of another axis than the first")
         if value.size <= 1 or aval.shape[0] == 1:

@@ -63,7 +63,7 @@ def graph_dtype(dtype: Any) -> np.dtype:
         return FLOAT
     if kind == "b" or dtype == dtypes.float0:  # the second is the tangent of an index, which nothing reads
         return BOOL
-    if kind in "iu":
+    if kind in "iu" and dtype != np.uint64:  # which has numbers beyond those of 64 bits with a sign
         return INT
     raise NotScalarizable(f"numbers of type {dtype}")
 
@@ -917,6 +917,13 @@ OF_PRIMITIVE: dict[str, ScalarOperation] = {
     for name in ((operation.name,) if operation.primitives is None else operation.primitives)
 }
 """By the names of JAX's primitives."""
+
+MAY_OVERFLOW = frozenset([
+    "add", "add_any", "sub", "mul", "div", "rem", "neg", "not", "abs", "sign", "square", "integer_pow", "shift_left",
+    "convert_element_type", "reduce_sum", "reduce_prod", "dot_general", "cumsum", "cumprod",
+])  # fmt: skip
+"""Primitives whose result, a whole number that is computed with 64 bits, may be outside of a type of fewer bits, where
+JAX's wraps around. Others choose among numbers, or move them."""
 
 LIBRARY: dict[str, str] = {operation.name: operation.library for operation in _ALL if operation.library is not None}
 """Functions of the mathematical library that machine code calls, by the names of the operations that they are."""

@@ -6,13 +6,23 @@ from contextlib import contextmanager
 import jax
 import jax.core
 import numpy as np
+from jax import dtypes
 from jax.extend import core as jex
 
 from spherejax.compiler import private
 from spherejax.compiler.array_operations import ARRAY_OPERATIONS, Use, both_arranged, by_entry
 from spherejax.compiler.emit.llvm_sums import SHORTEST
 from spherejax.compiler.graph import Graph, TooManyOperations
-from spherejax.compiler.operations import BOOL, FLOAT, OF_PRIMITIVE, NotScalarizable, graph_dtype, inner_program
+from spherejax.compiler.operations import (
+    BOOL,
+    FLOAT,
+    INT,
+    MAY_OVERFLOW,
+    OF_PRIMITIVE,
+    NotScalarizable,
+    graph_dtype,
+    inner_program,
+)
 
 WASTE = 2
 """Nodes of a graph for each operation that is needed in the end, at most: what proves unused is made first (measured on
@@ -104,12 +114,32 @@ class Interpreter:
             return [np.zeros(shape, np.int64) for shape in shapes]
         use = Use(equation.primitive, parameters, shapes, dtypes)
         if (operation := OF_PRIMITIVE.get(name)) is not None:
-            return by_entry(self.graph, operation, inputs, use)
+            return self._in_range(name, by_entry(self.graph, operation, inputs, use), equation)
         if (on_arrays := ARRAY_OPERATIONS.get(name)) is not None and on_arrays.names is not None:
             if name == "dot_general":
                 self._note_sums(parameters, inputs)
-            return on_arrays.names(self.graph, inputs, use)
+            return self._in_range(name, on_arrays.names(self.graph, inputs, use), equation)
         raise NotScalarizable(f"the operation {name!r} has no scalar rule")
+
+    def _in_range(self, name: str, outputs: list[np.ndarray], equation) -> list[np.ndarray]:
+        """What an operation gives, with whole numbers in the range of their own type: all are computed with 64 bits.
+
+        Raises:
+            NotScalarizable: where one that is computed might leave that range.
+        """
+        narrow = [
+            np.dtype(variable.aval.dtype) for variable in equation.outvars if variable.aval.dtype != dtypes.float0
+        ]
+        if name not in MAY_OVERFLOW or not any(dtype.kind in "iu" and dtype.itemsize < 8 for dtype in narrow):
+            return outputs
+        (dtype,), (array,) = narrow, outputs
+
+        def in_range(node: int) -> int:
+            if not self.graph.is_constant(node):
+                raise NotScalarizable(f"the operation {name!r} of numbers of type {dtype}")
+            return self.graph.constant(self.graph.value(node).astype(dtype), INT)
+
+        return [_by_entry(in_range, array)]
 
     def _note_sums(self, parameters, inputs: list[np.ndarray]) -> None:
         """Count a product of arrays that loops may evaluate, ahead of making thousands of nodes for it."""

@@ -411,3 +411,31 @@ def test_whole_numbers_are_put_together(how):
     for x in (1.0, -1.0):
         assert made.compute(x) == function(x)
         assert in_a_loop(function, np.asarray(x)) == function(x)
+
+
+WRAPPING: dict[str, Callable] = {
+    "sums": lambda k: k + k,
+    "differences": lambda k: -k - k,
+    "products": lambda k: k * k,
+    "powers": lambda k: k**3,
+    "of another type": lambda k: k.astype(jnp.uint8 if k.dtype == jnp.int8 else jnp.int8),
+}
+
+
+@pytest.mark.parametrize("name", WRAPPING)
+@pytest.mark.parametrize("dtype", [jnp.int8, jnp.uint8, jnp.int32, jnp.uint32])
+def test_whole_numbers_of_fewer_bits_wrap_around_or_are_refused(name, dtype):
+    """They were computed with 64 bits, and were then beyond what their type has, in silence."""
+    large = int(jnp.iinfo(dtype).max) // 2 + 7
+
+    def of_constant(x):
+        return jnp.where(WRAPPING[name](jnp.asarray(large, dtype)) < large // 2, x, -x)
+
+    def of_computed(x):
+        k = jnp.where(x > 0, jnp.asarray(large, dtype), jnp.asarray(1, dtype))
+        return jnp.where(WRAPPING[name](k) < large // 2, x, -x)
+
+    x = jnp.array(0.7)
+    assert float(scalarize(of_constant, x).compute(np.asarray(x))) == float(of_constant(x))
+    with pytest.raises(NotScalarizable, match="of numbers of type"):
+        scalarize(of_computed, x)

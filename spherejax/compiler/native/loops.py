@@ -44,7 +44,7 @@ from spherejax.compiler.native import compile as machine_code
 from spherejax.compiler.native import ffi_abi
 from spherejax.compiler.native.sums_in_place import NOTHING as NO_SUMS
 from spherejax.compiler.native.sums_in_place import SumsInPlace, accumulators_of, only_calls, sums_in_place
-from spherejax.compiler.operations import INNER_PROGRAM, OF_PRIMITIVE, OPERATIONS, Call
+from spherejax.compiler.operations import DOUBLE, INNER_PROGRAM, OF_PRIMITIVE, OPERATIONS, Call
 from spherejax.compiler.primitive import is_called
 
 LOOP = "loop_in_machine_code"
@@ -418,7 +418,11 @@ class LoopText:
 
         They are added in place: written elsewhere, they would have to be copied to their slots in each turn.
         """
-        pairs = [(n_fixed + k, k) for k, slot in enumerate(carried) if 1 < slot.size < self.text.large]
+        pairs = [
+            (n_fixed + k, k)
+            for k, slot in enumerate(carried)
+            if 1 < slot.size < self.text.large and slot.kind == DOUBLE
+        ]
         return accumulators_of(body.jaxpr, pairs)
 
     def _added(self, operands: Sequence[Value], accumulator: int) -> Value:
