@@ -253,3 +253,18 @@ def test_derivatives_pass_a_seam_within_a_contact():
     assert sj.simulate(struck(0.05, 0.9), ts).memory("joint")["onset_rate"][1] > 0
     expected = jax.grad(whole, (0, 1))(0.05, 0.9)
     np.testing.assert_allclose(jax.grad(in_pieces, (0, 1))(0.05, 0.9), expected, rtol=1e-5)
+
+
+def test_other_numbers_of_a_scene_without_joints_are_gone_on_with_under_jit():
+    """There is no joint that could jump, and the time of the seam is no number yet: it was asked for all the same."""
+
+    def end(mass):
+        def fallen(mass):
+            force = sj.AppliedWrench("ball", lambda t, motions: jnp.array([1.0, 0.0, 0.0]))
+            return sj.Scene({"ball": sj.Body(mass, (1.0,) * 3)}, forces={"push": force}, gravity=(0.0, 0.0, 0.0))
+
+        first = sj.simulate(fallen(mass), jnp.array([0.0, 1.0]))
+        return sj.continue_from(first, jnp.array([1.0, 2.0]), scene=fallen(2 * mass)).position("ball")[-1, 0]
+
+    # 1/2 t^2 / m, then on at the speed t / m with half of the acceleration.
+    np.testing.assert_allclose(jax.jit(end)(2.0), 0.25 + 0.5 + 0.125, rtol=1e-9)

@@ -57,7 +57,7 @@ def carried_state(before: System, after: System, t: Any, y: Any) -> CarriedState
         carried = jnp.concatenate([carried[:start], memory, carried[end:]])
     gaps = _gaps(after, t, carried), _gaps(before, t, y)
     jumps = {name: _jumps(gap, gaps[1].get(name)) for name, gap in gaps[0].items()}
-    if all(map(is_concrete, jax.tree.leaves(jumps))):
+    if all(map(is_concrete, jax.tree.leaves((jumps, t)))):  # of a scene without joints there are none, and t is traced
         _refuse_jumps(jumps, float(t))
     largest = [jnp.zeros(2), *map(jnp.stack, jumps.values())]
     place, rate = jnp.max(jnp.stack(largest), axis=0)
