@@ -56,6 +56,8 @@ from spherejax.motion.integration.compiling import (
 from spherejax.motion.integration.implicit_rows import differentiable_solver
 from spherejax.motion.integration.jobs import Job, JobKind, with_slopes
 from spherejax.motion.integration.lanes import Block, LaneProblem, StepLog, steps_in_lanes
+from spherejax.motion.integration.lanes.landing import BEHIND
+from spherejax.motion.integration.lanes.over_kinks import gone_over_kink
 from spherejax.motion.integration.lanes.stages import explicit_tableau, own_time
 from spherejax.motion.integration.one_run import integrated, lane_job, made_alone, outcome_of_first_row, run_and_slopes
 from spherejax.motion.integration.problem import (
@@ -100,12 +102,13 @@ ROOM, ROOM_WITH_CONTACT = 1024, 4096
 """Steps of a stretch. All stretches but the last are made twice. Room that is not used is not written either."""
 
 FACTOR_OVER_KINKS = 0.1
-"""Errors of the mixture, where steps go over kinks: this share of what a row by one number is allowed. With 1 the
-gradient of a ball in a socket of 1e8 N/m is right to 1e-6, with 0.1 to 1e-7."""
+"""Errors of the mixture, where the steps that a user's controller judges begin by going over kinks: this share of what
+a row by one number is allowed. With 1 the gradient of a ball in a socket of 1e8 N/m is right to 1e-6, with 0.1 to 1e-7.
+"""
 
 FACTOR_ELSEWHERE = 20.0
-"""Tolerance of the errors of the mixture, as a multiple of the state's, for explicit methods without kinks: the mixture
-is judged by its own size, which is stricter than the state's tolerance.
+"""Tolerance of the errors of the mixture, as a multiple of the state's, for explicit methods: the mixture is judged by
+its own size, which is stricter than the state's tolerance.
 
 With 20 in place of 5 the gradient of a dry four-bar takes a tenth less, with 50 hardly less than that. Its errors with
 5, 20 and 50 at an rtol of 1e-8 are 4e-8, 4e-8 and 1e-7 (3e-6, 3e-6 and 4e-5 at 1e-6), with five times the clearance
@@ -360,15 +363,13 @@ def _as_mixture(plan: Plan, method: RunMethod, inputs: RunInputs, along: Any) ->
         return lane_job(plan, method, inputs._replace(values=values))
 
     job, _ = with_slopes(job_of_values, values, along[None])
-    # Where explicit steps go over kinks by a step of their own, straight ones that begin behind them take their place.
-    is_straight = is_explicit(method.rest) and bool(kinks_of(plan.structure))
     factor = jnp.asarray(method.factor(plan.structure))
-    if is_straight:
+    if is_explicit(method.rest) and method.control is not None and kinks_of(plan.structure):
         factor = factor * FACTOR_OVER_KINKS
     elif is_explicit(method.rest) and method.tangent_tolerance_factor is None:  # who gives a tolerance has that
         factor = factor * FACTOR_ELSEWHERE
     job = job._replace(numbers=job.numbers._replace(tangent_tolerance_factor=factor))
-    kind = JobKind.of(plan, method, with_rows=True, moving=plan.unknown, by_steps=is_straight, is_mixture=True)
+    kind = JobKind.of(plan, method, with_rows=True, moving=plan.unknown, is_mixture=True)
     return job, kind.problem(inputs.ts, method.shared)._replace(max_steps=_room(plan))
 
 
@@ -512,6 +513,10 @@ class _StepsBack:
         solver = method.solver
         self.interpolation = solver.interpolation_cls
         self.is_explicit, self.is_native = is_explicit(solver), in_machine_code(plan)
+        # Steps of explicit methods end by going over a kink (`lanes.over_kinks`), those of others, and those that a
+        # controller of a user's judges, begin so (`solvers.kinks`).
+        self.ends_over = self.has_kinks and self.is_explicit and method.control is None
+        self.begins_over = self.has_kinks and not self.ends_over
         controller = method.controller(plan.structure)
         self.tolerances = _Tolerances(*(jnp.asarray(getattr(controller, name, 0.0)) for name in ("rtol", "atol")))
         self.unrolls_stages = sum(leaf.size for leaf in jax.tree.leaves(parameters)) <= LARGEST_UNROLLED
@@ -549,18 +554,29 @@ class _StepsBack:
         """Back along one step, that was kept from a trial step of a size [s], made in a bent time."""
         # An event ended it early: the rest of the trial step is no part of it, nor is the rest of its bent time.
         whole, size = size, t_next - t
-        if self.contacts is not None and self.is_explicit and not self.has_kinks:
+        # One that is longer than its trial went over a kink at its end.
+        goes_over, t_end = self.ends_over & (size > whole), t_next
+        if self.ends_over:
+            t_end, size = jnp.where(goes_over, t + whole, t_next), jnp.minimum(size, whole)
+        if self.contacts is not None and self.is_explicit and not self.begins_over:
             part = jnp.clip(own_time(size / whole, bend), 0.0, 1.0)
             bend = jnp.clip(bend * part**2 * whole / size, -1.0, 1.0)
         else:
             bend = None
 
+        def over(parameters, y, end):
+            assert self.contacts is not None
+            rate = self._rate_by(parameters)
+            return end, gone_over_kink(self.contacts, rate, parameters, t_end, t_next - t_end, end)
+
         def made(parameters, y):
             begins = t
-            if self.contacts is not None and self.has_kinks:
+            if self.contacts is not None and self.begins_over:
                 begins, y, _ = over_kink(self.contacts, self.rate, t, y, parameters)
-            end, inside = self._made(parameters, begins, t_next - begins, y, bend)
-            end = end if self.correct is None else self.correct(parameters, t_next, end)
+            end, inside = self._made(parameters, begins, t_end - begins, y, bend)
+            end = end if self.correct is None else self.correct(parameters, t_end, end)
+            if self.ends_over:
+                y, end = jax.lax.cond(goes_over, over, lambda _, y, end: (y, end), parameters, y, end)
             end = end if self.event is None else self.event(parameters, t_next, y, end, y_next, jnp.array(True))
             return end if self.taken is None else self.taken.update(parameters, t_next, end), inside
 
@@ -655,7 +671,7 @@ class _StepsBack:
         at = self.ts[i]
 
         def sampled(inside, parameters):
-            share = jnp.clip((at - t) / size, 0.0, 1.0)
+            share = jnp.clip((at - t) / size, 0.0, 1 + BEHIND if self.ends_over else 1.0)
             share = share if bend is None else own_time(share, bend)
             y = self.interpolation(t0=t, t1=t + size, **inside).evaluate(t + share * size)
             return y if self.correct is None else self.correct(parameters, at, y)

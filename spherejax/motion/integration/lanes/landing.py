@@ -34,6 +34,13 @@ from jaxtyping import Array, Bool, Float, Int
 from spherejax.foundations.lanes import in_lanes
 from spherejax.motion.integration.lanes.control import BlockSteps, Judgment
 from spherejax.motion.integration.lanes.first_step import InitialStepProbe, first_look, first_size, looked_along
+from spherejax.motion.integration.lanes.over_kinks import (
+    STAGES_OVER_KINK,
+    end_over_kink,
+    nearest_kink,
+    side_of_kinks,
+    slope_over_kink,
+)
 from spherejax.motion.integration.lanes.stages import ExplicitStages, own_time
 from spherejax.motion.integration.sampling import SampledElements
 from spherejax.motion.integration.sensitivity_rows import share_of_own_size
@@ -295,7 +302,9 @@ class Landing:
         end = in_lanes(contacts.crossings)(step.parameters, t, y)
         touched = jnp.zeros_like(lands)
         if self.has_rates_that_jump:
-            t, y, end, touched = self._over_the_kink(contacts, step, t, y, end, keep & ~lands)
+            # Behind an event the next step goes over it: one row of a log (`pullback`) has one of both.
+            changes = jnp.any(was_touching != contacts.is_touching(y), axis=0)
+            t, y, end, touched = self._over_the_kink(contacts, step, t, y, end, keep & ~lands & ~changes)
         is_touching = contacts.is_touching(y)
         began = ~was_touching & is_touching
         # An event is a change of mode, however it came about: by landing, or by a step that ended there by chance.
@@ -359,40 +368,26 @@ class Landing:
     def _over_the_kink(self, contacts: ContactFunctions, step: BlockSteps, t, y, end: Crossing, may_cross):
         """The time, the rows and the crossings behind a kink that the kept steps have come near to, and whose it was.
 
-        The step over it is Heun's of the third order, whose last stage is at two thirds of its way: none is beyond the
-        surface. For the time that it ends behind the surface the rates are those behind it: that is linear in what is
-        left of the crossing function.
+        The step over it is that of `over_kinks`.
         """
-        # From which side a surface is approached is the sign of its crossing function.
         kinks, room = np.array(contacts.kinks), self._room(step.parameters, t, y)
-        windows = windows_of(contacts)[kinks, None]
-        sign = jnp.where(end.value[kinks] > 0, -1.0, 1.0)
 
         def over(t, y, end):
-            way = end.value[kinks]
-            speed = sign * end.rate[kinks]
-            # Lanes that do not come near divide by one here: a quotient of zero by zero would make their derivatives
-            # NaN.
-            comes = (speed > 0) & (sign * way <= 0) & contacts.may_kink(y)
-            delays = jnp.where(comes, -sign * way / jnp.where(comes, speed, 1.0), jnp.inf)
-            first = jnp.argmin(delays, axis=0)
-
-            def of_first(values):
-                return jnp.take_along_axis(values, first[None], axis=0)[0]
-
-            delay = of_first(delays)
+            nearest = nearest_kink(contacts, y, end)
+            delay = nearest.delay
             is_near = may_cross & (delay <= _NEAR * (step.t1 - step.t0)) & (delay < room)
             # The run's own end stays that of a usual step, and so does what a controller or a road asks to be stopped
             # for.
             is_near = is_near & (t + 2 * delay < step.t_end)
-            behind_by = of_first(windows / 2 + 0 * speed)
-            first_try = jnp.where(is_near, delay + behind_by / of_first(jnp.where(comes, speed, 1.0)), 0.0)
+            behind_by = nearest.of_it(windows_of(contacts)[kinks, None] / 2 + 0 * nearest.speed)
+            approach = nearest.of_it(jnp.where(nearest.comes, nearest.speed, 1.0))
+            first_try = jnp.where(is_near, delay + behind_by / approach, 0.0)
             rate, crossings = in_lanes(self.problem.rate), in_lanes(contacts.crossings)
 
             def turn(_, found):
                 size, *_ = found
                 # A loop over three stages: the right-hand side stands once in the program.
-                shares = jnp.array([0.0, 1 / 3, 2 / 3])
+                shares = jnp.array(STAGES_OVER_KINK)
 
                 def stage(i, k):
                     before = y + size * shares[i] * jax.lax.dynamic_index_in_dim(k, jnp.maximum(i - 1, 0), 0, False)
@@ -400,17 +395,16 @@ class Landing:
                     return jax.lax.dynamic_update_index_in_dim(k, slope, i, 0)
 
                 k = jax.lax.fori_loop(0, 3, stage, jnp.zeros((3, *y.shape)))
-                after = y + size * (k[0] + 3 * k[2]) / 4
+                after = end_over_kink(y, size, k[0], k[2])
                 there = crossings(step.parameters, t + size, after)
-                speed = of_first(sign * there.rate[kinks])
-                beyond = of_first(sign * there.value[kinks])
+                beyond, speed = nearest.passed(there.value[kinks], there.rate[kinks])
                 is_over = (speed > 0) & (beyond > 0)
                 late = beyond / jnp.where(speed > 0, speed, 1.0)
                 aim = behind_by / jnp.where(speed > 0, speed, 1.0)
                 # Newton's step in the size, towards half a window behind the surface: sure to be behind it, and not to
                 # be an event of its own.
                 better = jnp.where(is_near & (speed > 0), jnp.maximum(size + aim - late, 0.0), size)
-                return better, size, after, 1.5 * k[2] - 0.5 * k[0], late, is_over, there
+                return better, size, after, slope_over_kink(k[0], k[2]), late, is_over, there
 
             nothing = first_try, first_try, y, y, first_try, is_near, end
             _, size, after, slope, late, is_over, there = jax.lax.fori_loop(0, _TOUCH_TURNS, turn, nothing)
@@ -426,6 +420,7 @@ class Landing:
             return (*chosen, touched)
 
         # The branch is taken by the whole block where one lane needs it, and by none in most turns.
+        sign = side_of_kinks(end.value[kinks])
         near = (-sign * end.value[kinks]) <= _NEAR * (step.t1 - step.t0) * sign * end.rate[kinks]
         is_any = jnp.any(may_cross & jnp.any(near, axis=0))
         none = jnp.zeros_like(may_cross)
