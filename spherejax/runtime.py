@@ -33,8 +33,9 @@ def configure(*, cache: str | os.PathLike | None = None) -> None:
     """Switch on 64-bit numbers, the compiler flags and the cache; called by `import spherejax`.
 
     Set the environment variable `SPHEREJAX_CONFIGURE=0` before the import to opt out. Flags that the user has set
-    already are kept. When JAX's backend has started before the call, the flags come too late: one warning says so
-    (64-bit mode still takes effect for arrays made from then on).
+    already are kept; with one of these flags XLA (jaxlib 0.10) cannot compile every program of yours, see
+    `docs/howto/platforms.md`. When JAX's backend has started before the call, the flags come too late: one warning says
+    so (64-bit mode still takes effect for arrays made from then on).
 
     Args:
         cache: a folder for compiled programs. None: the folder that the environment variable `SPHEREJAX_CACHE` names,

@@ -207,7 +207,9 @@ def test_laws_of_all_kinds(name, solver):
 
     slope, speed = jax.jacfwd(end, has_aux=True)(0.01)
     assert speed < -0.3
-    assert abs(slope - speed) < 1e-6
+    assert (
+        abs(slope - speed) < 2e-6
+    )  # with hysteresis 1.4e-6, which falls with the tolerance: 1.3e-8 at an rtol of 1e-9
 
 
 @pytest.mark.slow
