@@ -284,7 +284,7 @@ def test_the_steps_back_are_machine_code_as_a_whole(model, caplog):
     """Else XLA calls some hundred kernels for each step back, and the gradient takes half as long again.
 
     The exponent of the contact is one of the numbers: its stiffness may be there at once. With that the run was made by
-    array code, and the gradient took ten times as long.
+    array code, and the gradient took five times as long.
     """
     scene = sj.gallery.four_bar(model)
     exponent = lambda scene: scene.joints["coupler_rocker"].model.normal.exponent  # noqa: E731
