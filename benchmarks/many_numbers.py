@@ -5,10 +5,10 @@
 
 A network as a force on a body, 3 s, 31 samples, rtol 1e-7, by all of its weights, and along one direction in them, and
 the mean over eight starts by `jax.vmap` and its gradient, as a training takes them; the four-bar, dry and lubricated,
-0.2 s, by all numbers of its scene and by all but the exponent of its contact (by that derivatives of Rosenbrock methods,
-as the lubricated one has, are not sure), and dry by the weights of a network in its friction law; of the dry one by its
-scene eight gradients by `jax.vmap`, too. Each in a process of its own, without a cache: processor time of the first
-call, imports not counted, and the shortest of the calls after it, of half a second and 15 calls at least.
+0.2 s, by all numbers of its scene and by all but the exponent of its contact (by that derivatives of Rosenbrock
+methods, as the lubricated one has, are not sure), and dry by the weights of a network in its friction law; of the dry
+one by its scene eight gradients by `jax.vmap`, too. Each in a process of its own, without a cache: processor time of
+the first call, imports not counted, and the shortest of the calls after it, of half a second and 15 calls at least.
 """
 
 import argparse
