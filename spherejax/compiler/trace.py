@@ -1,6 +1,7 @@
 """Follows the operations of JAX with arrays of names of scalar nodes."""
 
 import itertools
+from collections.abc import Callable
 from contextlib import contextmanager
 
 import jax
@@ -51,6 +52,7 @@ class Interpreter:
         self.has_slopes = has_slopes
         self.limit, self.limit_of_sums = maximum_operations, maximum_in_sums
         self._depth = 0
+        self._limits: dict[int, tuple[int, int]] = {}
         self._n_given, self._n_for_slopes, self._n_in_sums = len(graph.operations), 0, 0
 
     def run(self, jaxpr, constants, arguments: list[np.ndarray]) -> list[np.ndarray]:
@@ -133,13 +135,24 @@ class Interpreter:
         if name not in MAY_OVERFLOW or not any(dtype.kind in "iu" and dtype.itemsize < 8 for dtype in narrow):
             return outputs
         (dtype,), (array,) = narrow, outputs
+        least, largest = int(np.iinfo(dtype).min), int(np.iinfo(dtype).max)
 
         def in_range(node: int) -> int:
-            if not self.graph.is_constant(node):
+            if self.graph.is_constant(node):
+                return self.graph.constant(self.graph.value(node).astype(dtype), INT)
+            low, high = self._limits_of(node)
+            if low < least or high > largest:
                 raise NotScalarizable(f"the operation {name!r} of numbers of type {dtype}")
-            return self.graph.constant(self.graph.value(node).astype(dtype), INT)
+            return node
 
         return [_by_entry(in_range, array)]
+
+    def _limits_of(self, node: int) -> tuple[int, int]:
+        """Between what a whole number surely lies, as an index of a branch does, or a count of what holds."""
+        known = self._limits.get(node)
+        if known is None:
+            known = self._limits[node] = _limits(self.graph, node, self._limits_of)
+        return known
 
     def _note_sums(self, parameters, inputs: list[np.ndarray]) -> None:
         """Count a product of arrays that loops may evaluate, ahead of making thousands of nodes for it."""
@@ -268,6 +281,43 @@ class Interpreter:
 def _has_derivative(variable) -> bool:
     """Whether something that is read may move."""
     return not private.is_dropped(variable) and variable.aval.dtype == FLOAT
+
+
+ANY_NUMBER = -(2**63), 2**63 - 1
+"""Limits of a whole number of 64 bits."""
+
+
+def _limits(graph: Graph, node: int, limits_of: Callable[[int], tuple[int, int]]) -> tuple[int, int]:
+    """Limits of what an operation gives, by those of its arguments, which `limits_of` says."""
+    if graph.is_constant(node):
+        return int(graph.value(node)), int(graph.value(node))
+    operation, arguments = graph.operations[node], graph.arguments[node]
+    if operation == "select":
+        arguments = arguments[1:]
+    if operation not in _WITH_LIMITS or any(graph.dtypes[argument] != INT for argument in arguments):
+        return ANY_NUMBER
+    low, high = _WITH_LIMITS[operation](*map(limits_of, arguments))
+    # What is beyond 64 bits may have wrapped around to any number.
+    return (low, high) if low >= ANY_NUMBER[0] and high <= ANY_NUMBER[1] else ANY_NUMBER
+
+
+def _of_corners(function: Callable[[int, int], int]) -> Callable[..., tuple[int, int]]:
+    def limits(a: tuple[int, int], b: tuple[int, int]) -> tuple[int, int]:
+        corners = [function(x, y) for x in a for y in b]
+        return min(corners), max(corners)
+
+    return limits
+
+
+_WITH_LIMITS: dict[str, Callable[..., tuple[int, int]]] = {
+    "select": lambda *cases: (min(low for low, _ in cases), max(high for _, high in cases)),
+    "add": _of_corners(lambda x, y: x + y),
+    "sub": _of_corners(lambda x, y: x - y),
+    "mul": _of_corners(lambda x, y: x * y),
+    "min": _of_corners(min),
+    "max": _of_corners(max),
+    "neg": lambda one: (-one[1], -one[0]),
+}
 
 
 def _by_entry(function, *arrays: np.ndarray) -> np.ndarray:

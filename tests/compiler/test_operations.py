@@ -418,7 +418,7 @@ WRAPPING: dict[str, Callable] = {
     "differences": lambda k: -k - k,
     "products": lambda k: k * k,
     "powers": lambda k: k**3,
-    "of another type": lambda k: k.astype(jnp.uint8 if k.dtype == jnp.int8 else jnp.int8),
+    "of another type": lambda k: (-k).astype(jnp.uint8 if k.dtype == jnp.int8 else jnp.int8),
 }
 
 
@@ -439,3 +439,30 @@ def test_whole_numbers_of_fewer_bits_wrap_around_or_are_refused(name, dtype):
     assert float(scalarize(of_constant, x).compute(np.asarray(x))) == float(of_constant(x))
     with pytest.raises(NotScalarizable, match="of numbers of type"):
         scalarize(of_computed, x)
+
+
+BOUNDED: dict[str, Callable] = {
+    "a branch": lambda x: jax.lax.cond(x > 0, lambda x: 2 * x, lambda x: -x, x),
+    "a count": lambda x: jnp.where(jnp.sum((x > jnp.arange(5.0)).astype(jnp.int32)) < 2, x, -x),
+    "chosen and limited": lambda x: jnp.where(jnp.minimum(jnp.where(x > 0, jnp.int32(7), -3) * 2, 10) > 5, x, -x),
+    "with its sign changed": lambda x: jnp.where(-jnp.where(x > 0, jnp.int32(7), -3) > 2, x, 3 * x),
+}
+
+
+@pytest.mark.parametrize("name", BOUNDED)
+def test_whole_numbers_that_surely_stay_in_their_range_are_scalars(name):
+    """A law with `jax.lax.cond` has one for its index."""
+    program = scalarize(BOUNDED[name], jnp.array(0.7))
+    for x in (-0.7, 0.3, 1.2, 3.4):
+        assert float(program.compute(np.asarray(x))) == pytest.approx(float(BOUNDED[name](jnp.array(x))), rel=1e-14)
+
+
+def test_a_number_beyond_64_bits_may_be_any():
+    """Its limits say nothing: it wraps around."""
+
+    def function(x):
+        k = jnp.where(x > 0, jnp.asarray(2**62, jnp.int64), 1)
+        return jnp.minimum(4 * k, 5).astype(jnp.int32) * x
+
+    with pytest.raises(NotScalarizable, match="of numbers of type int32"):
+        scalarize(function, jnp.array(0.7))
