@@ -112,7 +112,7 @@ its own size, which is stricter than the state's tolerance.
 
 With 20 in place of 5 the gradient of a dry four-bar takes a tenth less, with 50 hardly less than that. Its errors with
 5, 20 and 50 at an rtol of 1e-8 are 4e-8, 4e-8 and 1e-7 (3e-6, 3e-6 and 4e-5 at 1e-6), with five times the clearance
-2e-8, 7e-8 and 7e-8 (`benchmarks/adjoint_accuracy.py`)."""
+2e-8, 7e-8 and 7e-8 (`benchmarks/adjoint_accuracy.py`). Through contacts of other exponents they are up to 5e-7."""
 
 N_STRETCHES = 4096
 """So many of them, four million steps and more; the gradient of a run with more is NaN."""
