@@ -7,7 +7,6 @@ from contextlib import contextmanager
 import jax
 import jax.core
 import numpy as np
-from jax import dtypes
 from jax.extend import core as jex
 
 from spherejax.compiler import private
@@ -129,9 +128,8 @@ class Interpreter:
         Raises:
             NotScalarizable: where one that is computed might leave that range.
         """
-        narrow = [
-            np.dtype(variable.aval.dtype) for variable in equation.outvars if variable.aval.dtype != dtypes.float0
-        ]
+        types = [variable.aval.dtype for variable in equation.outvars]
+        narrow = [np.dtype(dtype) for dtype in types if dtype != jax.dtypes.float0]
         if name not in MAY_OVERFLOW or not any(dtype.kind in "iu" and dtype.itemsize < 8 for dtype in narrow):
             return outputs
         (dtype,), (array,) = narrow, outputs

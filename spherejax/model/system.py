@@ -419,6 +419,11 @@ SPECIAL_VALUES = (0.0, 1.0, -1.0, 1.5)
 """Numbers that simplify the program when they are known: structural zeros and ones, and the Hertzian exponent."""
 
 
+def code_now(tree: Any) -> str:
+    """Fingerprint of code of a user's own in the tree structure of a system, as that code is now; empty without."""
+    return user_code_fingerprint(tree)
+
+
 @dataclass(frozen=True)
 class Structure:
     """Everything static about a system: what a program is compiled for. Hashable; no pytree.
@@ -499,7 +504,7 @@ def structure_and_numbers(leaves: list, tree: Any):
         else:
             parts += some
             start += sum(math.prod(np.shape(leaf)) for leaf in some)
-    structure = Structure(tree, shapes, tuple(special), user_code_fingerprint(tree))
+    structure = Structure(tree, shapes, tuple(special), code_now(tree))
     if len(parts) == 1 and isinstance(parts[0], np.ndarray):
         return structure, parts[0]
     return structure, end_to_end(parts)
@@ -510,7 +515,7 @@ def numbers_apart(leaves: list, tree: Any) -> tuple[Structure, Float[np.ndarray,
     are."""
     known, unknown = split(leaves)
     special = _special_but_for(known, unknown)
-    return Structure(tree, tuple(map(np.shape, leaves)), special, user_code_fingerprint(tree)), known, unknown
+    return Structure(tree, tuple(map(np.shape, leaves)), special, code_now(tree)), known, unknown
 
 
 def numbers_renewed(

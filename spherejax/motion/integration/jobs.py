@@ -117,8 +117,8 @@ class JobKind:
         moving: numbers of the system that the sensitivities are by; None for all.
         control: a step-size controller of a user's, without its arrays, which then stand for the tolerances; None for
             that of this package.
-        by_steps: whether derivatives are taken of the steps that are made, in reverse or once more: explicit ones are
-            made in straight time, and those of Rosenbrock methods with the state's matrix for all rows.
+        by_steps: whether the steps that are made are differentiated once more: explicit ones are made in straight time
+            then, and those of Rosenbrock methods with the state's matrix for all rows.
         is_mixture: whether one row stands for the sensitivities by all numbers: then it is judged by its own size,
             with explicit methods. Those of Rosenbrock methods have error estimates far above their errors.
         is_alone: as of a `Plan`.

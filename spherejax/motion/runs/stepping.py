@@ -24,11 +24,11 @@ from spherejax.model.numbers import part_at, place_at, with_entry
 from spherejax.model.scene import Scene
 from spherejax.model.system import (
     System,
+    code_now,
     example_of,
     flatten_by_factor,
     flatten_system,
     split,
-    user_code_fingerprint,
     with_laws_by_factor,
 )
 from spherejax.motion.derivatives.sensitivities import depends_on_time, integrate_with_sensitivities
@@ -302,7 +302,7 @@ def _by_known_numbers(state: MotionState, names: tuple[str, ...]) -> Hashable | 
     if any(leaf is None for leaf in state.known.leaves):
         return None
     # The code of the scene is what it is now, not what it was when the state was made.
-    return state.known, user_code_fingerprint(state.known.tree), state.settings, state.scalar, names
+    return state.known, code_now(state.known.tree), state.settings, state.scalar, names
 
 
 @memoized(N_SCENES, _by_known_numbers)

@@ -302,7 +302,8 @@ class Landing:
         end = in_lanes(contacts.crossings)(step.parameters, t, y)
         touched = jnp.zeros_like(lands)
         if self.has_rates_that_jump:
-            # Behind an event the next step goes over it: one row of a log (`pullback`) has one of both.
+            # A step that ends with an event does not go over a surface as well; the next one does. In a log of steps
+            # (`pullback`) a row is one or the other.
             changes = jnp.any(was_touching != contacts.is_touching(y), axis=0)
             t, y, end, touched = self._over_the_kink(contacts, step, t, y, end, keep & ~lands & ~changes)
         is_touching = contacts.is_touching(y)

@@ -70,7 +70,7 @@ class LaneProblem(NamedTuple):
         moving: entries of theta that the sensitivities are by; None for all.
         unseen: looks between the stages for pulses of functions of time, or None.
         lands_inside: whether steps of explicit methods may end on events inside them, in a time of their own; not with
-            a controller of a user's, and not where derivatives are taken of the steps.
+            a controller of a user's, and not where the steps are differentiated once more.
         judges_by_own_size: whether errors of sensitivities are judged by their own largest part where that is small.
     """
 
@@ -101,8 +101,9 @@ class StepLog(NamedTuple):
     Attributes:
         times: of the shares of each step that were asked for, and of its end [s], shape (n_jobs, capacity, k + 1).
         states: there; at the end with what its events changed, shape (n_jobs, capacity, k + 1, ...).
-        trials: length [s] of the trial step that was kept, which an event inside it may have cut short, and the bend of
-            the time that it was made in (`stages.own_time`), shape (n_jobs, capacity, 2).
+        trials: length [s] of the trial step that was kept, before an event inside it cut it short or a step over a
+            kink was added to it (`over_kinks`), and the bend of the time that it was made in (`stages.own_time`), shape
+            (n_jobs, capacity, 2).
     """
 
     times: Float[Array, "n_jobs capacity k+1"]
