@@ -13,6 +13,7 @@ from spherejax.foundations.rotation import rotation_matrix
 from spherejax.physics.laws.film import squeeze_factor
 from spherejax.physics.laws.films import FilmGap, FilmMotion
 from spherejax.physics.laws.full_film import (
+    directions_across,
     full_sphere_load,
     half_sphere_load,
     pressure_peak,
@@ -368,3 +369,22 @@ def test_the_four_bar_rides_on_a_full_film(clearance, ratio, n_steps):
     assert ratio[0] < largest < ratio[1]
     assert 10.1 < np.abs(np.asarray(run.acceleration("rocker"))[:, 2]).max() < 11.2
     assert np.abs(np.asarray(run.position("rocker") - tighter.position("rocker"))).max() < 1e-7
+
+
+@pytest.mark.parametrize(
+    "axis", [(1, 1, 1), (-1, -1, -1), (0, 0, 1), (0, 0, -1), (1, 0, 0), (1e-9, 0, -1), (3, -2, 0.5)]
+)
+def test_directions_across_are_a_right_handed_frame(axis):
+    def both(axis):
+        return jnp.stack(directions_across(axis))
+
+    z = jnp.asarray(axis) / np.linalg.norm(axis)
+    frame = jnp.stack([*directions_across(z), z])
+    np.testing.assert_allclose(frame @ frame.T, np.eye(3), atol=1e-15)
+    assert np.linalg.det(frame) == pytest.approx(1.0, rel=1e-14)
+    forward, backward = jax.jacfwd(both)(z), jax.jacrev(both)(z)
+    np.testing.assert_allclose(forward, backward, atol=1e-14)
+    if z[2] == 0:  # where they jump
+        return
+    differences = np.stack([(both(z + h) - both(z - h)) / 2e-7 for h in 1e-7 * np.eye(3)], axis=-1)
+    np.testing.assert_allclose(forward, differences, atol=1e-6)

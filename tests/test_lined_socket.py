@@ -12,6 +12,7 @@ from scipy.integrate import quad, solve_ivp
 from scipy.sparse.linalg import spsolve
 
 import spherejax as sj
+from spherejax.motion.start.tolerances import component_tolerances
 from spherejax.physics.kinematics import RelativeMotion
 from spherejax.physics.laws.conformity import Pair
 from spherejax.physics.laws.films import FilmGap, FilmMotion
@@ -456,6 +457,24 @@ def test_a_hip_walks_on_its_film():
     assert -reaction.min() == pytest.approx(3000.0, rel=0.01)
     powers = [np.asarray(run.part("cup", name)) for name in ("film_power", "shear_power")]
     assert all((power >= -1e-12).all() for power in powers)
+
+
+def test_steps_do_not_depend_on_the_unit_of_length():
+    """Errors of deflections are judged by the clearance, not by a length in meters."""
+
+    def absolute(unit):
+        liner = sj.laws.WinklerLiner(1e9 / unit, 0.4, 8e-3 * unit)
+        film = sj.laws.LinedSocket(liner, rings=4)
+        model = sj.Lubricated(CLEARANCE * unit, 0.05, socket_radius=RADIUS * unit, film=film)
+        place = {"center": (0.1 * unit, 0.0, 0.0)}
+        ball = sj.Body(1.0, np.full(3, 1e-3 * unit**2), points=place)
+        joints = {"cup": sj.Spherical("ground.center", "ball.center", model)}
+        scene = sj.Scene({"ball": ball}, joints, ground_points=place, gravity=(0.0, 0.0, -9.81 * unit))
+        system = sj.equations.compile_scene(scene).system
+        return np.asarray(component_tolerances(system, 1e-6).atol)[system.layout.memory_start :][1:49]
+
+    assert np.all(absolute(1.0) > 0)
+    np.testing.assert_allclose(absolute(1000.0), 1000.0 * absolute(1.0), rtol=1e-14)
 
 
 @pytest.mark.slow

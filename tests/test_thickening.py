@@ -110,6 +110,19 @@ def test_load_and_couple_are_those_of_finer_integrals(name, boundary):
             assert thick.shear_power > thin.shear_power
 
 
+@pytest.mark.parametrize("eps", [0.0, 0.5])
+@pytest.mark.parametrize("direction", [(1, 1, 1), (-1, -1, -1), (1, 1, 0), (0, -1, 1), (0, 0, 1)])
+def test_a_ball_that_moves_along_the_line_of_centers_meets_the_same_in_every_direction(direction, eps):
+    # The points of its film are counted about that line, from a direction across it.
+    n = np.array(direction) / np.linalg.norm(direction)
+    still = np.zeros(3)
+    motion = FilmMotion(*map(jnp.asarray, (eps * CLEARANCE * n, 0.03 * n, still, still)))
+    film, law = FILMS["ball"], law_for(FILMS["ball"], motion, GUEMBEL, 0.6)
+    force, _ = by_other_integral("ball", motion, float(law.coefficient), suction=False)
+    added = film.action(motion, gap(GUEMBEL, law)).force
+    np.testing.assert_allclose(added, force, atol=1e-2 * np.linalg.norm(force))
+
+
 def test_the_pressure_obeys_reynolds_equation_with_its_own_viscosity():
     """Along the axis of a short bearing, h^3 dp/dz = -12 eta(p) V.u z by SciPy from the end inward; and the load."""
     film, e = FILMS["short"], np.array([0.6 * CLEARANCE, 0.0, 0.0])

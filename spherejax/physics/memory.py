@@ -7,7 +7,7 @@ from jaxtyping import Array, Bool, Float
 
 from spherejax.foundations.types import Scalar, Vector3
 
-Scale = Literal["length", "angle", "speed", "angular_speed", "force", "moment"]
+Scale = Literal["length", "angle", "speed", "angular_speed", "force", "moment", "film"]
 
 SMALLEST_ONSET_RATE = 1e-12
 """Onset rates are at least this [m/s]: a contact that begins without velocity has begun all the same."""
@@ -20,7 +20,8 @@ class MemoryEntry(NamedTuple):
         name: in tables, files and tests.
         unit: SI unit.
         scale: what its errors are judged against: `"length"`, `"angle"`, `"speed"`, `"angular_speed"`, `"force"` or
-            `"moment"` of the mechanism, or a number in its unit; see `component_tolerances`.
+            `"moment"` of the mechanism, `"film"` for thicknesses within a clearance, or a number in its unit; see
+            `component_tolerances`.
         lasts: whether it goes on through onsets and releases; others take the values of `memory_at_onset` there.
         counts_turns: whether it only says in which turn an angle is, which nothing hangs on besides: no state of a
             linearization, and no part of what has to come back in a cycle.

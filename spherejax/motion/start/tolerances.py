@@ -46,6 +46,11 @@ ELASTIC_ROUNDING = 3e-13
 differences of positions. A bushing of 1e6 N/m on the four-bar takes 2,066 steps at 1e-12 and 8,962 at 1e-13, to the
 same digits."""
 
+FILM_SHARE = 1e-2
+"""Of the smallest clearance: what thicknesses of films and deflections of their liners are judged by, a micrometer in
+a clearance of 0.1 mm. A length of its own, in meters, would loosen or tighten the steps with the clearance, and with
+the unit of length."""
+
 SMALLEST_LENGTH = 1e-3
 """Scale [m] of a scene that shows no length of its own."""
 
@@ -74,7 +79,8 @@ def component_tolerances(system: System, rtol: Number) -> Tolerances:
         quaternions  rtol, 1e-2 rtol
         velocities   rtol, 1e-2 rtol V;  angular velocities  rtol, 1e-2 rtol V / L
         memory       as velocities; deflections that a bushing remembers as positions, rotations as quaternions;
-                     forces by m V^2 / L, moments by m V^2; what has a scale of its own by that
+                     forces by m V^2 / L, moments by m V^2; thicknesses of a film by c / 100; what has a scale of
+                     its own by that
         work         rtol, 1e-2 rtol m V^2
 
     A tolerance below what rounding leaves is lifted to it, and the description says so: see `rounding_floor`.
@@ -238,6 +244,7 @@ def _numbers_of(kinds: _Kinds, scales: tuple, masses: list, rtol: Number) -> _Nu
         "angular_speed": speed / length,
         "force": energy / length,
         "moment": energy,
+        "film": FILM_SHARE * xp.minimum(clearance, length),
     }
     memory = speed
     if kinds.memory:

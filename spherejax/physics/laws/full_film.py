@@ -212,6 +212,20 @@ def pressure_peak(r: Vector3, velocity: Vector3) -> PressurePeak:
     return PressurePeak(size * height(angle), place)
 
 
+def directions_across(axis: Vector3) -> tuple[Vector3, Vector3]:
+    """Two unit vectors across a unit vector, each at right angles to the other, right-handed with the axis last.
+
+    Limits: jump where the z component of the axis changes sign, and are smooth elsewhere; x and y at axis = 0.
+
+    Source: Duff et al. (2017), J. Comput. Graph. Tech. 6 (1):1-8.
+    """
+    x, y, z = axis[0], axis[1], axis[2]
+    sign = jnp.where(z >= 0, 1.0, -1.0)
+    a = -1.0 / (sign + z)
+    first = jnp.stack([1.0 + sign * x * x * a, sign * x * y * a, -sign * x])
+    return first, jnp.stack([x * y * a, sign + y * y * a, -y])
+
+
 def _by_quadrature(square: Scalar, slant: Scalar) -> tuple[Scalar, Scalar]:
     """a and d from eps**2 and eps x."""
     a, d = [], []

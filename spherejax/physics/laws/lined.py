@@ -201,8 +201,8 @@ class LinedBearing(AbstractFilm):
     @property
     def memory(self) -> tuple[MemoryEntry, ...]:
         """The deflection at each point: in the middle of the length, or place by place along the axis, from the middle
-        on, all points of one place after each other. Errors are judged by a micrometer."""
-        return tuple(MemoryEntry(f"deflection_{i}", "m", 1e-6) for i in range(self.points * self.axial))
+        on, all points of one place after each other."""
+        return tuple(MemoryEntry(f"deflection_{i}", "m", "film") for i in range(self.points * self.axial))
 
     @property
     def stores_energy(self) -> bool:

@@ -44,7 +44,7 @@ from spherejax.foundations.types import Matrix3, Number, Scalar, Triple, Unit, V
 from spherejax.physics.bodies import numbers
 from spherejax.physics.laws.conformity import WinklerLiner
 from spherejax.physics.laws.films import AbstractFilm, FilmAction, FilmGap, FilmMotion, FullFilm
-from spherejax.physics.laws.full_film import PressurePeak
+from spherejax.physics.laws.full_film import PressurePeak, directions_across
 from spherejax.physics.memory import MemoryEntry
 
 FEWEST_RINGS, MOST_RINGS = 4, 24
@@ -199,8 +199,8 @@ class LinedSocket(AbstractFilm):
 
     @property
     def memory(self) -> tuple[MemoryEntry, ...]:
-        """The deflection of each cell, ring by ring from the middle; errors are judged by a micrometer."""
-        return tuple(MemoryEntry(f"deflection_{i}", "m", 1e-6) for i in range(self.rings * self.around))
+        """The deflection of each cell, ring by ring from the middle."""
+        return tuple(MemoryEntry(f"deflection_{i}", "m", "film") for i in range(self.rings * self.around))
 
     @property
     def stores_energy(self) -> bool:
@@ -303,15 +303,11 @@ class LinedSocket(AbstractFilm):
         )
 
     def _frame(self, motion: FilmMotion) -> Matrix3:
-        """Axes of the cup as columns, world axes; the last is its own, and two across it (Duff et al. 2017)."""
+        """Axes of the cup as columns, world axes; the last is its own."""
         assert motion.socket_axes is not None
         axis = jnp.asarray(self.axis)
-        x, y, z = axis / jnp.sqrt(axis @ axis)
-        sign = jnp.where(z >= 0, 1.0, -1.0)
-        a = -1.0 / (sign + z)
-        first = jnp.stack([1.0 + sign * x * x * a, sign * x * y * a, -sign * x])
-        second = jnp.stack([x * y * a, sign + y * y * a, -y])
-        return motion.socket_axes @ jnp.stack([first, second, jnp.stack([x, y, z])], axis=1)
+        axis = axis / jnp.sqrt(axis @ axis)
+        return motion.socket_axes @ jnp.stack([*directions_across(axis), axis], axis=1)
 
     def _eccentricity(self, motion: FilmMotion) -> Vector3:
         """e in axes of the cup."""

@@ -23,6 +23,7 @@ from spherejax.foundations.legal import positive
 from spherejax.foundations.numerics import safe_norm
 from spherejax.foundations.types import Number, Scalar, Unit, Vector3
 from spherejax.physics.laws.base import AbstractLaw
+from spherejax.physics.laws.full_film import directions_across
 
 LARGEST_REDUCED = 0.9
 """alpha q up to which the logarithm is taken: there the viscosity is ten times that without pressure. Beyond, pressure
@@ -258,11 +259,9 @@ def _half_ball(r: Vector3, slope: Vector3) -> tuple[Array, Array]:
     size = safe_norm(slope)
     w = slope / jnp.where(size > 0, size, 1.0)
     across = r - (r @ w) * w
-    # With r along w any direction across w will do: that of the axis that w is farthest from.
-    other = jnp.where(jnp.abs(w) <= jnp.min(jnp.abs(w)), 1.0, 0.0)
-    other = other - (other @ w) * w
     lean = safe_norm(across)
-    m = jnp.where(lean > 1e-9, across / jnp.where(lean > 0, lean, 1.0), other / safe_norm(other))
+    # With r along w any direction across w will do.
+    m = jnp.where(lean > 1e-9, across / jnp.where(lean > 0, lean, 1.0), directions_across(w)[0])
     place, width = _crowding(r @ w, r @ m)
     turns, turn_weights = _crowded(place, width, _TURN_NODES, _TURN_WEIGHTS)
     rises, rise_weights = _crowded(jnp.zeros(()), width, _RISE_NODES, _RISE_WEIGHTS)
