@@ -16,7 +16,7 @@ from spherejax.compiler.graph import Graph
 from spherejax.compiler.linear_algebra.symmetric import symmetric_solve
 from spherejax.compiler.linear_algebra.unrolled import _minimum_degree_order
 from spherejax.compiler.native import compile as machine_code
-from spherejax.compiler.operations import FLOAT, NotScalarizable
+from spherejax.compiler.operations import FLOAT
 from spherejax.compiler.program import scalarize
 from spherejax.model.system import compile_scene, flatten_system
 from spherejax.motion.equations.contacts import crossings, memory_after_step, onset_slopes, relative_motions
@@ -279,14 +279,15 @@ def _turned(x):
 _turned.defvjp(lambda x: (x, None), lambda _, along: (-along,))
 
 UNKNOWN = {
-    "sort": (lambda v: jnp.sort(v), "sort"),
+    "sort": (lambda v: jnp.sort(v), "."),
+    "qr": (lambda v: jnp.linalg.qr(jnp.outer(v, v) + jnp.eye(3))[1] @ v, "qr"),
     "eigh": (lambda v: jnp.linalg.eigh(jnp.outer(v, v) + jnp.eye(3) * v)[0], "eigh|triangular|tril|custom"),
     "custom_vjp": (lambda v: _turned(v), "custom_vjp"),
     "while": (lambda v: jax.lax.while_loop(lambda c: c[0] < 3, lambda c: c + 1, v), "while"),
-    "cumsum": (lambda v: jnp.cumsum(v), "cumsum"),
-    "argmax": (lambda v: v * jnp.argmax(v), "argmax"),
-    "computed index": (lambda v: v[jnp.floor(jnp.abs(v[0])).astype(int) % 3], "conver"),
-    "scatter-add": (lambda v: v.at[1].add(2.0), "scatter-add"),
+    "cumsum": (lambda v: jnp.cumsum(v), "."),
+    "argmax": (lambda v: v * jnp.argmax(v), "."),
+    "computed index": (lambda v: v[jnp.floor(jnp.abs(v[0])).astype(int) % 3], "."),
+    "scatter-add": (lambda v: v.at[1].add(2.0), "."),
     "complex": (lambda v: jnp.abs(v + 1j), "complex"),
     "random": (lambda v: v + jax.random.uniform(jax.random.key(0)), "."),
     "checkpoint": (lambda v: jax.checkpoint(jnp.sin)(v), "."),
@@ -319,7 +320,7 @@ class Odd(sj.forces.AbstractForce):
         return {"rocker": sj.forces.Wrench(0.01 * r, jnp.zeros(3))}
 
 
-@pytest.mark.parametrize("kind", ["sort", "eigh", "custom_vjp"])
+@pytest.mark.parametrize("kind", ["qr", "eigh", "custom_vjp"])
 def test_unknown_operation_falls_back_with_a_warning_and_right_values(kind):
     scene = sj.gallery.four_bar()
     scene = sj.Scene(scene.bodies, scene.joints, {"odd": Odd(kind)}, gravity=scene.gravity)
@@ -337,16 +338,13 @@ def test_unknown_operation_falls_back_with_a_warning_and_right_values(kind):
 def test_fallback_simulates():
     body = sj.Body(1.0, (1.0, 1.0, 1.0))
 
-    class Sorted(sj.forces.AbstractForce):
+    class Factored(sj.forces.AbstractForce):
         def wrenches(self, t, motions):
-            return {
-                "body": sj.forces.Wrench(
-                    jnp.sort(jnp.array([1.0, 3.0, 2.0]) + 0 * motions["body"].position), jnp.zeros(3)
-                )
-            }
+            matrix = jnp.diag(jnp.array([1.0, 2.0, 3.0]) + 0 * motions["body"].position)
+            return {"body": sj.forces.Wrench(jnp.abs(jnp.diag(jnp.linalg.qr(matrix)[1])), jnp.zeros(3))}
 
-    scene = sj.Scene({"body": body}, {}, {"push": Sorted()}, gravity=(0.0, 0.0, 0.0))
-    with pytest.warns(sj.errors.ArrayPathWarning, match="sort"):
+    scene = sj.Scene({"body": body}, {}, {"push": Factored()}, gravity=(0.0, 0.0, 0.0))
+    with pytest.warns(sj.errors.ArrayPathWarning, match="qr"):
         run = sj.simulate(scene, cases.times(2.0))
     assert np.asarray(run.position("body")[-1]) == pytest.approx([2.0, 4.0, 6.0], abs=1e-9)
 
@@ -461,9 +459,14 @@ def test_entries_are_moved_as_jax_moves_them(name):
     np.testing.assert_array_equal(scalarize(MOVES[name], x).compute(x), MOVES[name](x))
 
 
-def test_an_entry_that_is_not_there_is_refused():
-    with pytest.raises(NotScalarizable, match="out of range"):
-        scalarize(lambda x: x.at[np.array([0, 9])].get(mode="fill", fill_value=0.0), VECTOR)
+def test_an_entry_that_is_not_there_is_filled_as_jax_fills_it():
+    x = jnp.array([0.3, -1.2, 2.1])
+    for filling in (7.0, None):
+
+        def function(x, filling=filling):
+            return x.at[np.array([0, 9])].get(mode="fill", fill_value=filling)
+
+        np.testing.assert_array_equal(scalarize(function, x).compute(x), function(x))
 
 
 def test_known_branches_are_taken_and_unknown_ones_selected():

@@ -29,6 +29,7 @@ from spherejax.compiler.emit.llvm_arrays import (
 )
 from spherejax.compiler.graph import Graph
 from spherejax.compiler.linear_algebra.unrolled import block_solve, general_solve, symmetric_solve
+from spherejax.compiler.lookups import block_at, changed_at, holds_within, in_order, place_of_extreme
 from spherejax.compiler.operations import (
     BOOL,
     DOUBLE,
@@ -50,12 +51,14 @@ class Use(NamedTuple):
     Attributes:
         primitive, parameters: of JAX.
         shapes, dtypes: of the results; dtypes as nodes have them.
+        types: the same as JAX has them.
     """
 
     primitive: Any
     parameters: Mapping[str, Any]
     shapes: Sequence[tuple[int, ...]]
     dtypes: Sequence[np.dtype]
+    types: Sequence[np.dtype]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -171,40 +174,18 @@ def _moving(name: str, moves: Moves) -> ArrayOperation:
     return ArrayOperation(name=name, names=names, llvm=llvm, moves=moves)
 
 
-def _indices(name: str, graph: Graph, array: np.ndarray) -> np.ndarray:
-    """Indices that are known while the program is made: a straight line cannot look one up."""
-    if not all(graph.is_constant(int(node)) for node in array.ravel()):
-        raise NotScalarizable(f"{name!r} with an index that is computed")
-    return np.vectorize(lambda node: graph.value(int(node)), otypes=[np.int64])(array).reshape(array.shape)
-
-
-def _names_by_jax(*moved: int) -> Callable[[Graph, Sequence[np.ndarray], Use], list[np.ndarray]]:
-    """JAX moves names as it moves numbers; which arguments are moved, the others are indices."""
-
-    def names(graph: Graph, inputs: Sequence[np.ndarray], use: Use) -> list[np.ndarray]:
-        name = use.primitive.name
-        operands = [x if at in moved else _indices(name, graph, x) for at, x in enumerate(inputs)]
-        with jax.ensure_compile_time_eval():  # also where somebody traces the function that is made a program
-            nodes = np.asarray(use.primitive.bind(*operands, **use.parameters))
-        return [_inside(name, nodes)]
-
-    return names
-
-
-def _names_of_gather(graph: Graph, inputs: Sequence[np.ndarray], use: Use) -> list[np.ndarray]:
-    # By NumPy: JAX would compile a program for each shape, at 20 ms.
-    array, indices = inputs
-    return [_inside("gather", gathered(array, _indices("gather", graph, indices), use.parameters))]
-
-
-def _inside(name: str, nodes: np.ndarray) -> np.ndarray:
-    if np.any(nodes < 0):  # what fills is -1, or the least integer: the name of no node
-        raise NotScalarizable(f"{name!r} with an index out of range")
-    return nodes
+def _names_by_jax(graph: Graph, inputs: Sequence[np.ndarray], use: Use) -> list[np.ndarray]:
+    """JAX moves names as it moves numbers."""
+    del graph
+    with jax.ensure_compile_time_eval():  # also where somebody traces the function that is made a program
+        return [np.asarray(use.primitive.bind(*inputs, **use.parameters))]
 
 
 def gathered(array: np.ndarray, indices: np.ndarray, parameters: Any) -> np.ndarray:
-    """`jax.lax.gather` of names; out of range it gives the name -1, which no node has."""
+    """`jax.lax.gather` of names; out of range it gives the name -1, which no node has.
+
+    By NumPy: JAX would compile a program for each shape, at 20 ms.
+    """
     how, sizes = parameters["dimension_numbers"], parameters["slice_sizes"]
     dropped = (*how.collapsed_slice_dims, *how.operand_batching_dims)
     kept = [size for dimension, size in enumerate(sizes) if dimension not in dropped]
@@ -222,6 +203,94 @@ def gathered(array: np.ndarray, indices: np.ndarray, parameters: Any) -> np.ndar
         part = array[tuple(map(slice, begin, begin + sizes))] if is_within else np.full(sizes, -1)
         parts[place] = part.reshape(kept)
     return np.moveaxis(parts, range(parts.ndim - len(kept), parts.ndim), how.offset_dims)
+
+
+# Names at places that are computed: each is one of several, by a whole number (`Graph.lookup`). Places that are known
+# fold in the same way.
+
+
+def _names_of_gather(graph: Graph, inputs: Sequence[np.ndarray], use: Use) -> list[np.ndarray]:
+    array, indices = inputs
+    if all(graph.is_constant(int(node)) for node in indices.ravel()):
+        known = np.array([graph.value(int(node)) for node in indices.ravel()], np.int64).reshape(indices.shape)
+        names = gathered(array, known, use.parameters)
+        if np.all(names >= 0):
+            return [names]
+    how, sizes, mode = (use.parameters[name] for name in ("dimension_numbers", "slice_sizes", "mode"))
+    dropped = (*how.collapsed_slice_dims, *how.operand_batching_dims)
+    kept = [size for dimension, size in enumerate(sizes) if dimension not in dropped]
+    parts = np.empty((*indices.shape[:-1], *kept), np.int64)
+    for place in np.ndindex(indices.shape[:-1]):
+        starts = {d: int(node) for d, node in zip(how.start_index_map, indices[place], strict=True)}
+        for dimension, of_indices in zip(how.operand_batching_dims, how.start_indices_batching_dims, strict=True):
+            starts[dimension] = graph.constant(place[of_indices], INT)
+        part = block_at(graph, array, starts, sizes)
+        if mode == jax.lax.GatherScatterMode.FILL_OR_DROP:
+            filling, dtype = _filling(use), use.dtypes[0]
+            inside = holds_within(graph, starts, np.array(array.shape) - sizes)
+            filled = graph.constant(filling, dtype)
+            part = np.array([graph.select(inside, filled, int(node)) for node in part.ravel()], np.int64)
+        elif mode not in (jax.lax.GatherScatterMode.CLIP, jax.lax.GatherScatterMode.PROMISE_IN_BOUNDS):
+            raise NotScalarizable(f"'gather' in the mode {mode} with an index that is computed")
+        parts[place] = part.reshape(kept)
+    return [np.moveaxis(parts, range(parts.ndim - len(kept), parts.ndim), how.offset_dims)]
+
+
+def _filling(use: Use) -> Any:
+    """What JAX fills with where a place is outside: NaN, the least number, the largest of those with no sign, true."""
+    filling, dtype = use.parameters.get("fill_value"), use.types[0]
+    if filling is not None:
+        return filling
+    if dtype.kind == "f":
+        return np.nan
+    return True if dtype.kind == "b" else np.iinfo(dtype).max if dtype.kind == "u" else np.iinfo(dtype).min
+
+
+def _names_of_dynamic_slice(graph: Graph, inputs: Sequence[np.ndarray], use: Use) -> list[np.ndarray]:
+    array, *starts = inputs
+    return [block_at(graph, array, {d: int(node) for d, node in enumerate(starts)}, use.shapes[0])]
+
+
+def _names_of_dynamic_update_slice(graph: Graph, inputs: Sequence[np.ndarray], use: Use) -> list[np.ndarray]:
+    del use
+    array, block, *indices = inputs
+    starts = {d: graph.bounded(int(node), 0, array.shape[d] - block.shape[d]) for d, node in enumerate(indices)}
+    return [changed_at(graph, array, starts, block, lambda _, new: new)]
+
+
+def _scattering(by: str | None) -> Callable[[Graph, Sequence[np.ndarray], Use], list[np.ndarray]]:
+    """`jax.lax.scatter`, and those that add to what is there, multiply it, ...: one block after the other."""
+
+    def names(graph: Graph, inputs: Sequence[np.ndarray], use: Use) -> list[np.ndarray]:
+        array, indices, blocks = inputs
+        (dtype,) = use.dtypes
+        operation = None if by is None else OPERATIONS[by]
+
+        def changed(old: int, new: int) -> int:
+            if operation is None:
+                return new
+            return (
+                operation.fold(graph, old, new)
+                if operation.fold
+                else graph.apply(operation.name, (old, new), dtype, ())
+            )
+
+        how, mode = use.parameters["dimension_numbers"], use.parameters["mode"]
+        window = how.update_window_dims
+        blocks = np.moveaxis(blocks, window, range(blocks.ndim - len(window), blocks.ndim))
+        kept = [d for d in range(array.ndim) if d not in (*how.inserted_window_dims, *how.operand_batching_dims)]
+        for place in np.ndindex(indices.shape[:-1]):
+            starts = {d: int(n) for d, n in zip(how.scatter_dims_to_operand_dims, indices[place], strict=True)}
+            for dimension, of_indices in zip(how.operand_batching_dims, how.scatter_indices_batching_dims, strict=True):
+                starts[dimension] = graph.constant(place[of_indices], INT)
+            sizes = dict(zip(kept, blocks[place].shape, strict=True))
+            block = blocks[place].reshape([sizes.get(d, 1) for d in range(array.ndim)])
+            if mode == jax.lax.GatherScatterMode.CLIP:
+                starts = {d: graph.bounded(n, 0, array.shape[d] - block.shape[d]) for d, n in starts.items()}
+            array = changed_at(graph, array, starts, block, changed)
+        return [array]
+
+    return names
 
 
 def _broadcast(inputs: Sequence[np.ndarray], parameters: Any) -> list[np.ndarray]:
@@ -639,6 +708,33 @@ def _product(text: ArrayText, left: Value, right: Value, row: np.ndarray, column
     return total(text, [products], {"axes": (0,)}, [jax.ShapeDtypeStruct((), np.float64)])[0].name
 
 
+# What is the largest, and what is in order ----------------------------------------------------------------------------
+
+
+def _place_of(name: str) -> Callable[[Graph, Sequence[np.ndarray], Use], list[np.ndarray]]:
+    """The place of the largest or the smallest entry in each row."""
+
+    def names(graph: Graph, inputs: Sequence[np.ndarray], use: Use) -> list[np.ndarray]:
+        (shape,) = use.shapes
+        rows = _rows(inputs[0], use.parameters["axes"])
+        return [np.array([place_of_extreme(graph, name, [*map(int, row)]) for row in rows], np.int64).reshape(shape)]
+
+    return names
+
+
+def _names_of_sort(graph: Graph, inputs: Sequence[np.ndarray], use: Use) -> list[np.ndarray]:
+    dimension, n_keys = use.parameters["dimension"], use.parameters["num_keys"]
+    columns = [np.moveaxis(array, dimension, -1) for array in inputs]
+    shape = columns[0].shape
+    flat = [column.reshape(-1, shape[-1]).copy() for column in columns]
+    for row in range(flat[0].shape[0]):
+        entries = [tuple(int(column[row, at]) for column in flat) for at in range(shape[-1])]
+        for at, entry in enumerate(in_order(graph, entries, n_keys)):
+            for column, node in zip(flat, entry, strict=True):
+                column[row, at] = node
+    return [np.moveaxis(column.reshape(shape), -1, dimension) for column in flat]
+
+
 # What comes out of nothing --------------------------------------------------------------------------------------------
 
 
@@ -684,17 +780,27 @@ _ALL = (
     _moving("copy", lambda inputs, p: [inputs[0]]),
     _moving("copy_p", lambda inputs, p: [inputs[0]]),
     # No rule for loops: none has been seen in one.
-    ArrayOperation(name="tile", names=_names_by_jax(0)),
+    ArrayOperation(name="tile", names=_names_by_jax),
     ArrayOperation(name="gather", names=_names_of_gather, llvm=_gather),
-    ArrayOperation(name="dynamic_slice", names=_names_by_jax(0), llvm=_dynamic_slice),
-    ArrayOperation(name="dynamic_update_slice", names=_names_by_jax(0, 1), llvm=_dynamic_update_slice),
+    ArrayOperation(name="dynamic_slice", names=_names_of_dynamic_slice, llvm=_dynamic_slice),
+    ArrayOperation(name="dynamic_update_slice", names=_names_of_dynamic_update_slice, llvm=_dynamic_update_slice),
     # XLA has no way to write most scatters into a kernel; see `native.loop_fusion` for the others.
-    ArrayOperation(name="scatter", names=_names_by_jax(0, 2), llvm=_scatter, fuses=False),
+    ArrayOperation(name="scatter", names=_scattering(None), llvm=_scatter, fuses=False),
+    ArrayOperation(name="scatter-sub", names=_scattering("sub"), fuses=False),
+    ArrayOperation(name="scatter-mul", names=_scattering("mul"), fuses=False),
+    ArrayOperation(name="scatter-min", names=_scattering("min"), fuses=False),
+    ArrayOperation(name="scatter-max", names=_scattering("max"), fuses=False),
     ArrayOperation(name="iota", names=_names_of_iota, llvm=_iota),
     ArrayOperation(name="empty2", llvm=_empty, fuses=False),
-    ArrayOperation(name="scatter-add", llvm=_scatter_add, fuses=False),
+    ArrayOperation(name="scatter-add", names=_scattering("add"), llvm=_scatter_add, fuses=False),
     *_REDUCTIONS,
+    ArrayOperation(name="argmax", names=_place_of("argmax"), fuses=False),
+    ArrayOperation(name="argmin", names=_place_of("argmin"), fuses=False),
+    ArrayOperation(name="sort", names=_names_of_sort, fuses=False),
     _cumulative("cumsum", "add"),
+    _cumulative("cumprod", "mul"),
+    _cumulative("cummax", "max"),
+    _cumulative("cummin", "min"),
     ArrayOperation(name="dot_general", names=_names_of_product, llvm=_dot_general, reduces=True),
     _solving("symmetric_solve", symmetric_solve),
     _solving("block_solve", block_solve),

@@ -14,13 +14,22 @@ from typing import Any
 import jax
 import numpy as np
 
-from spherejax.compiler.operations import FLOAT, INT, OPERATIONS, NotScalarizable
+from spherejax.compiler.operations import BOOL, FLOAT, INT, OPERATIONS, NotScalarizable
+from spherejax.compiler.ranges import Limits, limits_of
 
 
 class TooManyOperations(NotScalarizable):
     """The scalar program of the function would be larger than allowed."""
 
     is_too_large = True
+
+
+LARGEST_TABLE = 4096
+"""Entries of a table that is read at a computed place, at most: each is an argument of a node."""
+
+MOST_CHOICES = 8
+"""Selections by truths that a number is chosen by and that are made again for each entry that it chooses, at most. A
+branch has one, `jnp.select` and `jnp.piecewise` have one for each condition."""
 
 
 class Graph:
@@ -41,14 +50,15 @@ class Graph:
         self.parameters: list = []
         self.dtypes: list[np.dtype] = []
         self._known: dict = {}
+        self._limits: dict[int, Limits] = {}
 
     def __getstate__(self) -> dict[str, list]:
-        """Without the register of nodes, which only serves to add some."""
-        return {name: value for name, value in vars(self).items() if name != "_known"}
+        """Without the registers of nodes and of limits, which only serve to add some."""
+        return {name: value for name, value in vars(self).items() if name not in ("_known", "_limits")}
 
     def __setstate__(self, state: dict[str, list]) -> None:
         nodes = zip(state["operations"], state["arguments"], state["parameters"], state["dtypes"], strict=True)
-        vars(self).update(state, _known={(o, a, p, d): index for index, (o, a, p, d) in enumerate(nodes)})
+        vars(self).update(state, _known={(o, a, p, d): index for index, (o, a, p, d) in enumerate(nodes)}, _limits={})
 
     def copy(self, arguments: Mapping[int, int] | None = None) -> "Graph":
         """A graph with the same nodes, to which others can be added.
@@ -63,7 +73,8 @@ class Graph:
             for node, operation in enumerate(made.operations):
                 if operation == "input":
                     argument, entry = made.parameters[node]
-                    made.parameters[node] = arguments[argument], entry
+                    # One that has no number is read by nothing that is needed: what it would give has folded away.
+                    made.parameters[node] = arguments.get(argument, argument), entry
             # The register has the inputs under their old numbers.
             made.__setstate__(made.__getstate__())
         return made
@@ -117,14 +128,6 @@ class Graph:
         # A node with a derivative rule of its own has its slope there, which does not belong to the operation.
         return None if self.operations[node] == "custom_jvp_node" else self.parameters[node]
 
-    def predicate_of(self, node: int) -> int:
-        """The boolean node that an integer 0 or 1 was made from, or the node itself."""
-        if self.operations[node] == "select" and self.dtypes[node] == INT:
-            predicate, on_false, on_true = self.arguments[node]
-            if self.is_value(on_false, 0) and self.is_value(on_true, 1):
-                return predicate
-        return node
-
     def is_constant(self, node: int) -> bool:
         """Whether the value of a node is known."""
         return self.operations[node] == "constant"
@@ -163,6 +166,84 @@ class Graph:
         """`on_true` where the predicate holds, else `on_false`."""
         return _fold_select(self, predicate, on_false, on_true)
 
+    def both(self, a: int, b: int) -> int:
+        """Whether both truths hold, or the bits that two whole numbers share."""
+        return _fold_and(self, a, b)
+
+    def either(self, a: int, b: int) -> int:
+        """Whether one of two truths holds, or all bits of two whole numbers."""
+        return _fold_or(self, a, b)
+
+    def limits(self, node: int) -> Limits:
+        """The least and the largest number that a whole number may be, as far as its operations show."""
+        return limits_of(self, node, self._limits)
+
+    def bounded(self, node: int, low: int, high: int) -> int:
+        """A whole number that is taken to the nearer bound where it is beyond."""
+        least, largest = self.limits(node)
+        if largest > high:
+            node = self.apply("min", (node, self.constant(high, INT)))
+        return self.apply("max", (node, self.constant(low, INT))) if least < low else node
+
+    def wrapped(self, node: int, dtype: np.dtype) -> int:
+        """A whole number, computed with 64 bits, as one of a type of fewer bits, which wraps around."""
+        if self.is_constant(node):
+            return self.constant(self.value(node).astype(dtype), INT)
+        least, largest = int(np.iinfo(dtype).min), int(np.iinfo(dtype).max)
+        low, high = self.limits(node)
+        if least <= low and high <= largest:
+            return node
+        # The last bits, counted from the least number on.
+        begin, bits = self.constant(least, INT), self.constant(largest - least, INT)
+        return self.add(self.both(self.sub(node, begin), bits), begin)
+
+    def lookup(self, index: int, cases: Sequence[int]) -> int:
+        """One of several nodes, by a whole number; the first one below the range, and the last one beyond, as in JAX.
+
+        Raises:
+            NotScalarizable: for more than `LARGEST_TABLE` cases.
+        """
+        if len(cases) > LARGEST_TABLE:
+            raise NotScalarizable(f"a table of {len(cases)} entries that is read at a computed place")
+        # Selections by truths are read by all that knows them; a table is for what would be many.
+        if (choices := self._choices(index)) is not None:
+            return self._chosen(choices, index, cases)
+        index = self.bounded(index, 0, len(cases) - 1)
+        low, high = self.limits(index)
+        index, cases = self.sub(index, self.constant(low, INT)), cases[low : high + 1]
+        if all(case == cases[0] for case in cases):
+            return cases[0]
+        if len(cases) == 2:
+            return self.select(self.apply("gt", (index, self.constant(0, INT)), BOOL), *cases)
+        return self.node("lookup", (index, *cases), self.dtypes[cases[0]])
+
+    def _choices(self, index: int) -> list[int] | None:
+        """The selections by truths that choose among known numbers, as they follow each other.
+
+        None where they choose among others, or are more than `MOST_CHOICES`.
+        """
+        choices, waiting = set(), {index}
+        while waiting:
+            node = waiting.pop()
+            if self.is_constant(node) or node in choices:
+                continue
+            if self.operations[node] != "select" or len(choices) == MOST_CHOICES:
+                return None
+            choices.add(node)
+            waiting.update(self.arguments[node][1:])
+        return sorted(choices)
+
+    def _chosen(self, choices: list[int], index: int, cases: Sequence[int]) -> int:
+        chosen: dict[int, int] = {}
+
+        def of(node: int) -> int:
+            return cases[min(max(int(self.value(node)), 0), len(cases) - 1)] if self.is_constant(node) else chosen[node]
+
+        for node in choices:  # an argument is earlier than what reads it
+            predicate, on_false, on_true = self.arguments[node]
+            chosen[node] = self.select(predicate, of(on_false), of(on_true))
+        return of(index)
+
     def integer_power(self, a: int, exponent: int) -> int:
         """a ** exponent for a Python integer, by repeated multiplication."""
         return _expand_power(self, a, y=exponent)
@@ -185,7 +266,7 @@ class Graph:
         dtype = self.dtypes[arguments[0]] if dtype is None else dtype
         if all(self.is_constant(a) for a in arguments):
             return self.constant(self.evaluated(name, [self.value(a) for a in arguments], parameters), dtype)
-        return self.node(name, arguments, dtype, parameters)
+        return self.node(name, arguments, dtype, parameters or None)  # none of them are None and (), which differ
 
     def evaluated(self, name: str, values: list, parameters: Any) -> np.ndarray:
         """An operation on known numbers: by NumPy where it has the same, for JAX compiles a program for each."""
@@ -282,6 +363,7 @@ def _rule(name: str) -> Callable[..., int]:
 
 # Looked up once: a large program calls them a hundred thousand times.
 _fold_add, _fold_sub, _fold_mul, _fold_div = _rule("add"), _rule("sub"), _rule("mul"), _rule("div")
+_fold_and, _fold_or = _rule("and"), _rule("or")
 _fold_neg, _fold_select, _fold_power, _expand_power = (
     _rule("neg"), _rule("select"), _rule("pow"), _rule("integer_pow")
 )  # fmt: skip

@@ -130,6 +130,7 @@ class ScalarOperation:
         copies: whether the result is the argument, unless its type changes.
         numpy: evaluates arrays; exactly what JAX gives but for rounding, also for NaN and infinities.
         python: evaluates Python's floats and truths; some 30 ns, where a NumPy scalar takes a microsecond.
+        takes_whole: whether `python` evaluates whole numbers, too: it chooses among numbers, and computes none.
         derivative: from a `Forward`, a node, its arguments and their tangents to its tangent.
         partials: the derivative by each argument, as functions of JAX.
         transpose: from a graph, the number along a node, its arguments, and which of them move, to the numbers along
@@ -141,6 +142,7 @@ class ScalarOperation:
         example: arguments of that function, with which a platform's library is tried.
         c: an expression, with `{}` for the arguments; or a function from a `Call` to one. The former is for
             floats and truths alone.
+        c_of_whole: an expression for whole numbers.
     """
 
     name: str
@@ -152,6 +154,7 @@ class ScalarOperation:
     copies: bool = False
     numpy: Callable[..., Any] | None = None
     python: Callable[..., Any] | None = None
+    takes_whole: bool = False
     derivative: Callable[..., int | None] | None = None
     partials: tuple[Callable[..., Any], ...] | None = None
     transpose: Callable[..., list[int] | None] | None = None
@@ -161,6 +164,7 @@ class ScalarOperation:
     library: str | None = None
     example: tuple[float, ...] = (0.5,)
     c: str | Callable[[Call], str] | None = None
+    c_of_whole: str | None = None
 
     @property
     def folded(self) -> Callable[..., int] | None:
@@ -180,10 +184,8 @@ class ScalarOperation:
 
     def in_c(self, call: Call, *names: str) -> str | None:
         """The expression in C; None where there is none."""
-        template = self.c(call) if callable(self.c) else self.c
-        if template is None or (not callable(self.c) and WHOLE in call.kinds):
-            return None
-        return template.format(*names)
+        template = self.c(call) if callable(self.c) else self.c_of_whole if WHOLE in call.kinds else self.c
+        return None if template is None else template.format(*names)
 
 
 # Arithmetic: what folds -----------------------------------------------------------------------------------------------
@@ -255,16 +257,60 @@ def _fold_neg(graph, a, **_):
 
 
 def _fold_select(graph, predicate, *cases, **_):
-    if len(cases) != 2:
-        raise NotScalarizable("a selection among more than two")
     if graph.dtypes[predicate] != BOOL:
-        raise NotScalarizable("a selection by an integer")
+        return graph.lookup(predicate, cases)
     on_false, on_true = cases
     if graph.is_constant(predicate):
         return on_true if graph.value(predicate) else on_false
     if on_false == on_true:
         return on_true
     return graph.node("select", (predicate, on_false, on_true), graph.dtypes[on_true])
+
+
+def _fold_logic(name, decides):
+    """`and` or `or`, with the truth that decides alone."""
+
+    def fold(graph, a, b, **_):
+        for x, y in ((a, b), (b, a)):
+            if graph.dtypes[x] == BOOL and graph.is_constant(x):
+                return x if graph.value(x) == decides else y
+        return graph.apply(name, (a, b))
+
+    return fold
+
+
+# JAX orders numbers for searches and sorts by their bits, in which -0 is before 0 and NaN is behind or before all else,
+# by its sign. It makes zeros and NaN of either sign one before. Of such numbers the order is that of comparisons.
+
+
+def _ordered(graph, node):
+    """The number that JAX has made one to be ordered by its bits from."""
+    if graph.dtypes[node] != FLOAT or graph.is_constant(node):
+        return node
+    if graph.operations[node] == "select":
+        is_nan, number, nan = graph.arguments[node]
+        if graph.is_constant(nan) and np.isnan(graph.value(nan)) and graph.operations[number] == "select":
+            is_zero, number, zero = graph.arguments[number]
+            zero_of, nan_of = graph.apply("eq", (number, zero), BOOL), graph.apply("ne", (number, number), BOOL)
+            if graph.is_value(zero, 0) and (is_zero, is_nan) == (zero_of, nan_of):
+                return number
+    raise NotScalarizable("an order of numbers by their bits")
+
+
+def _fold_before(graph, a, b, **_):
+    """Whether a stands before b; NaN is behind all else."""
+    a, b = _ordered(graph, a), _ordered(graph, b)
+    if graph.dtypes[a] != FLOAT:
+        return graph.apply("lt", (a, b), BOOL)
+    is_number = graph.apply("eq", (a, a), BOOL)
+    is_behind = graph.apply("le", (b, a), BOOL)  # false where either is NaN
+    return graph.both(graph.apply("not", (is_behind,)), is_number)
+
+
+def _fold_not_behind(graph, a, b, **_):
+    a, b = _ordered(graph, a), _ordered(graph, b)
+    is_not_behind = graph.apply("le", (a, b), BOOL)
+    return is_not_behind if graph.dtypes[a] != FLOAT else graph.either(is_not_behind, graph.apply("ne", (b, b), BOOL))
 
 
 def _fold_power(graph, a, b, **_):
@@ -295,11 +341,17 @@ def _fold_convert(graph, a, *, new_dtype, **_):
     source, target = graph.dtypes[a], graph_dtype(new_dtype)
     if source == target:
         return a
+    if (source, target) == (FLOAT, INT):
+        # Of a type of fewer bits what is beyond its range is taken to its bounds; it does not wrap around.
+        whole, bounds = graph.apply("integer_of_float", (a,), INT), np.iinfo(new_dtype)
+        return graph.bounded(whole, int(bounds.min), int(bounds.max))
     if graph.is_constant(a):
         return graph.constant(graph.value(a), target)
     if source == BOOL:  # a selection has a rule in every form, and `cond` finds the truth again behind it
         return graph.select(a, graph.constant(0, target), graph.constant(1, target))
-    raise NotScalarizable(f"a conversion from {source} to {target}")
+    if target == BOOL:
+        return graph.apply("ne", (a, graph.constant(0, source)), BOOL)
+    return graph.apply("float_of_integer", (a,), FLOAT)
 
 
 def _fold_log2(graph, a, **parameters):
@@ -386,6 +438,30 @@ def _derive_select(forward, node, arguments, tangents):
     return forward.slopes.select(forward.coefficient(arguments[0]), on_false, on_true)
 
 
+def _derive_lookup(forward, node, arguments, tangents):
+    index, slopes = arguments[0], tangents[1:]
+    moving = [place for place, slope in enumerate(slopes) if slope is not None]
+    if not moving:
+        return None
+    zero = forward.slopes.constant(0, FLOAT)
+    if len(moving) > FEW_MOVING:
+        cases = [zero if slope is None else slope for slope in slopes]
+        return forward.slopes.node("lookup", (forward.coefficient(index), *cases), FLOAT)
+    # Along a few entries of a table: most of it would be zeros.
+    return forward.sum(*(
+        forward.slopes.select(forward.coefficient(_is_at(forward.values, index, place)), zero, slopes[place])
+        for place in moving
+    ))  # fmt: skip
+
+
+def _is_at(graph, index, place):
+    return graph.apply("eq", (index, graph.constant(place, INT)), BOOL)
+
+
+FEW_MOVING = 3
+"""Entries of a table that move, up to which its derivative is by a comparison for each."""
+
+
 # Transposes: from the number along a result to those along its arguments ----------------------------------------------
 
 
@@ -405,6 +481,16 @@ def _transpose_select(graph, along, arguments, moves):
     return [along, graph.select(arguments[0], along, zero), graph.select(arguments[0], zero, along)]
 
 
+def _transpose_lookup(graph, along, arguments, moves):
+    if moves[0]:
+        return None
+    zero = graph.constant(0, FLOAT)
+    return [
+        graph.select(_is_at(graph, arguments[0], at - 1), zero, along) if moves[at] else zero
+        for at in range(len(arguments))
+    ]
+
+
 # NumPy and Python, where their own functions are not JAX's ------------------------------------------------------------
 
 
@@ -412,12 +498,29 @@ def _divide(a, b):
     """`jax.lax.div`: integers are cut towards zero, and -1 where the divisor is 0."""
     if np.asarray(a).dtype.kind == "f":
         return np.divide(a, b)
-    quotient = np.abs(a) // np.where(b == 0, 1, np.abs(b)) * np.sign(a) * np.sign(b)
-    return np.where(b == 0, -1, quotient)
+    divisor = np.where((b == 0) | (b == -1), 1, b)
+    floor, rest = np.divmod(a, divisor)
+    quotient = floor + ((rest != 0) & ((a < 0) != (divisor < 0)))
+    # By -1 the least number has no quotient: it is itself.
+    return np.where(b == 0, -1, np.where(b == -1, np.negative(a), quotient))
 
 
 def _quotient(a: float, b: float) -> float:
     return a / b if b else float(np.divide(a, b))  # Python raises an error
+
+
+def _remainder(a, b):
+    """`jax.lax.rem`: of the sign of a; of whole numbers a itself where the divisor is 0."""
+    if np.asarray(a).dtype.kind == "f":
+        return np.fmod(a, b)
+    return np.where(b == 0, a, np.fmod(a, np.where(b == 0, 1, b)))
+
+
+def _integer_of_float(a):
+    """Cut towards zero; NaN is 0, and what is beyond 64 bits is the nearer bound, as in XLA."""
+    beyond = 2.0**63
+    inside = np.where(np.abs(a) < beyond, a, 0.0).astype(np.int64)
+    return np.where(a >= beyond, np.iinfo(np.int64).max, np.where(a <= -beyond, np.iinfo(np.int64).min, inside))
 
 
 def _root(a: float) -> float:
@@ -430,6 +533,21 @@ def _sine(a: float) -> float:
 
 def _cosine(a: float) -> float:
     return math.cos(a) if math.isfinite(a) else math.nan
+
+
+WRITTEN_OUT = 16
+"""Cases of a lookup that XLA has as selections, at most; more are an array that is read at a place."""
+
+
+def _lookup(index, *cases):
+    if len(cases) <= WRITTEN_OUT:
+        return lax.select_n(lax.convert_element_type(index, np.int32), *cases)
+    table = lax.concatenate([lax.expand_dims(case, [0]) for case in cases], 0)
+    if not index.shape:
+        return lax.dynamic_index_in_dim(table, index, keepdims=False)
+    # Over lanes, each at its own place.
+    lanes = [lax.broadcasted_iota(np.int64, index.shape, axis) for axis in range(index.ndim)]
+    return table.at[(index, *lanes)].get(mode="promise_in_bounds")
 
 
 def _root_guarded_at_zero(a):
@@ -467,7 +585,50 @@ def _arithmetic(word: str) -> Callable[..., str]:
 
 
 def _llvm_div(text, call, a, b):
-    return text.made(f"fdiv {text.type(DOUBLE)} {a}, {b}")
+    if call.kinds[0] == DOUBLE:
+        return text.made(f"fdiv {text.type(DOUBLE)} {a}, {b}")
+    truth, typed = text.type(TRUTH), text.type(WHOLE)
+    quotient = text.made(f"sdiv {typed} {a}, {_safe_divisor(text, b)}")
+    # -1 where the divisor is 0; by -1 the least number would be beyond the largest, and is itself.
+    by_minus_one = text.made(f"icmp eq {typed} {b}, {text.number(-1, WHOLE)}")
+    negative = text.made(f"sub {typed} {text.number(0, WHOLE)}, {a}")
+    quotient = text.made(f"select {truth} {by_minus_one}, {typed} {negative}, {typed} {quotient}")
+    by_zero = text.made(f"icmp eq {typed} {b}, {text.number(0, WHOLE)}")
+    return text.made(f"select {truth} {by_zero}, {typed} {text.number(-1, WHOLE)}, {typed} {quotient}")
+
+
+def _safe_divisor(text, b):
+    """A divisor, or 1 where LLVM leaves the quotient undefined: of 0, and of -1, by which the least number has none."""
+    truth, typed = text.type(TRUTH), text.type(WHOLE)
+    shifted = text.made(f"add {typed} {b}, {text.number(1, WHOLE)}")
+    is_special = text.made(f"icmp ult {typed} {shifted}, {text.number(2, WHOLE)}")
+    return text.made(f"select {truth} {is_special}, {typed} {text.number(1, WHOLE)}, {typed} {b}")
+
+
+def _llvm_rem(text, call, a, b):
+    if call.kinds[0] == DOUBLE:
+        return text.library("fmod", a, b)
+    truth, typed = text.type(TRUTH), text.type(WHOLE)
+    remainder = text.made(f"srem {typed} {a}, {_safe_divisor(text, b)}")
+    by_zero = text.made(f"icmp eq {typed} {b}, {text.number(0, WHOLE)}")
+    return text.made(f"select {truth} {by_zero}, {typed} {a}, {typed} {remainder}")
+
+
+def _ordered_bits(text, a):
+    """A whole number by which floats are in the order of their bits: those below zero are turned round."""
+    typed = text.type(WHOLE)
+    bits = text.made(f"bitcast {text.type(DOUBLE)} {a} to {typed}")
+    sign = text.made(f"ashr {typed} {bits}, {text.number(63, WHOLE)}")
+    return text.made(f"xor {typed} {bits}, {text.made(f'lshr {typed} {sign}, {text.number(1, WHOLE)}')}")
+
+
+def _before(word: str) -> Callable[..., str]:
+    def write(text: LlvmWriter, call: Call, a: str, b: str) -> str:
+        if call.kinds[0] == DOUBLE:
+            a, b = _ordered_bits(text, a), _ordered_bits(text, b)
+        return text.made(f"icmp {word} {text.type(WHOLE)} {a}, {b}")
+
+    return write
 
 
 def _llvm_neg(text, call, a):
@@ -522,6 +683,9 @@ def _llvm_abs(text, call, a):
 
 def _llvm_sign(text, call, a):
     """Of NaN and of zeros what they are."""
+    if call.kinds[0] == WHOLE:
+        above = text.intrinsic("smax", WHOLE, a, text.number(-1, WHOLE))
+        return text.intrinsic("smin", WHOLE, above, text.number(1, WHOLE))
     typed, truth, zero = text.type(DOUBLE), text.type(TRUTH), text.number(0, DOUBLE)
     above, below = (text.made(f"fcmp {word} {typed} {a}, {zero}") for word in ("ogt", "olt"))
     not_above = text.made(f"select {truth} {below}, {typed} {text.number(-1, DOUBLE)}, {typed} {a}")
@@ -560,9 +724,9 @@ def _llvm_select(text, call, which, *cases):
     if kind_of_which == TRUTH:
         on_false, on_true = cases
         return text.made(f"select {text.type(TRUTH)} {which}, {typed} {on_true}, {typed} {on_false}")
-    chosen = cases[-1]  # as JAX clamps the number, what is beyond the last is the last
+    chosen = cases[-1]  # as JAX clamps the number, what is beyond the last is the last, and below the first the first
     for at in range(len(cases) - 2, -1, -1):
-        is_it = text.made(f"icmp eq {text.type(WHOLE)} {which}, {text.number(at, WHOLE)}")
+        is_it = text.made(f"icmp sle {text.type(WHOLE)} {which}, {text.number(at, WHOLE)}")
         chosen = text.made(f"select {text.type(TRUTH)} {is_it}, {typed} {cases[at]}, {typed} {chosen}")
     return chosen
 
@@ -576,9 +740,29 @@ def _llvm_convert(text, call, a):
         word = "fcmp une" if source == DOUBLE else "icmp ne"
         return text.made(f"{word} {typed} {a}, {text.number(0, source)}")
     if source == DOUBLE:  # NaN is 0, and what is too large the largest, as in XLA; `fptosi` leaves both undefined
-        return text.intrinsic("fptosi.sat", source, a, result=target)
+        whole, bounds = text.intrinsic("fptosi.sat", source, a, result=target), np.iinfo(call.parameters["new_dtype"])
+        if bounds.bits == 64:
+            return whole
+        whole = text.intrinsic("smax", target, whole, text.number(bounds.min, target))
+        return text.intrinsic("smin", target, whole, text.number(bounds.max, target))
     word = {(TRUTH, WHOLE): "zext", (TRUTH, DOUBLE): "uitofp", (WHOLE, DOUBLE): "sitofp"}[source, target]
     return text.made(f"{word} {typed} {a} to {to}")
+
+
+def _llvm_lookup(text, call, index, *cases):
+    """Selections, for a few cases; of more `FunctionText` makes a table."""
+    return _llvm_select(text, call, index, *cases)
+
+
+def _modulo(sign: str) -> str:
+    """In C, where whole numbers with a sign must not overflow, and those without wrap around."""
+    return f"(long long)((unsigned long long){{}} {sign} (unsigned long long){{}})"
+
+
+def _c_lookup(call: Call) -> str:
+    kind = {DOUBLE: "double", WHOLE: "long long", TRUTH: "int"}[call.kind]
+    entries = ", ".join(f"{{{at}}}" for at in range(1, len(call.kinds)))
+    return f"((const {kind}[]){{{{{entries}}}}})[{{0}}]"
 
 
 def _llvm_power(text, call, base, exponent):
@@ -640,6 +824,7 @@ def _comparison(name: str, sign: str, numpy: Callable[..., Any], python: Callabl
         llvm=_compared(of_floats, of_whole),
         accepts=same(*kinds),
         c=f"{{}} {sign} {{}}",
+        c_of_whole=f"{{}} {sign} {{}}",
     )
 
 
@@ -650,16 +835,20 @@ def _on_two(
     in_stablehlo: Callable[..., Any] | None,
     llvm: Callable[..., str],
     c: str,
+    c_of_whole: str,
+    fold: Callable[..., int] | None = None,
 ) -> ScalarOperation:
     """An operation on two numbers of one of these types, with a result of that type."""
     return ScalarOperation(
         name=name,
+        fold=fold,
         jax=getattr(lax, f"{name}_p").bind,
         numpy=numpy,
         stablehlo=in_stablehlo,
         llvm=llvm,
         accepts=same(*kinds),
         c=c,
+        c_of_whole=c_of_whole,
     )
 
 
@@ -683,6 +872,7 @@ _ALL = (
         llvm=_arithmetic("add"),
         accepts=same(DOUBLE, WHOLE),
         c="{} + {}",
+        c_of_whole=_modulo("+"),
     ),
     ScalarOperation(
         name="sub",
@@ -696,6 +886,7 @@ _ALL = (
         llvm=_arithmetic("sub"),
         accepts=same(DOUBLE, WHOLE),
         c="{} - {}",
+        c_of_whole=_modulo("-"),
     ),
     ScalarOperation(
         name="mul",
@@ -710,6 +901,7 @@ _ALL = (
         llvm=_arithmetic("mul"),
         accepts=same(DOUBLE, WHOLE),
         c="{} * {}",
+        c_of_whole=_modulo("*"),
     ),
     ScalarOperation(
         name="div",
@@ -720,8 +912,10 @@ _ALL = (
         derivative=_derive_div,
         transpose=_transpose_div,
         stablehlo=stablehlo.divide,
-        llvm=_llvm_div,  # of whole numbers LLVM's would be undefined where the divisor is 0
+        llvm=_llvm_div,
+        accepts=same(DOUBLE, WHOLE),
         c="{} / {}",
+        c_of_whole="quotient({}, {})",
     ),
     ScalarOperation(
         name="neg",
@@ -735,6 +929,7 @@ _ALL = (
         llvm=_llvm_neg,
         accepts=same(DOUBLE, WHOLE),
         c="-{}",
+        c_of_whole="(long long)(0ULL - (unsigned long long){})",
     ),
     ScalarOperation(
         name="select",
@@ -743,12 +938,27 @@ _ALL = (
         fold=_fold_select,
         numpy=lambda predicate, on_false, on_true: np.where(predicate, on_true, on_false),
         python=lambda predicate, on_false, on_true: on_true if predicate else on_false,
+        takes_whole=True,
         derivative=_derive_select,
         transpose=_transpose_select,
         stablehlo=lambda predicate, on_false, on_true: stablehlo.select(predicate, on_true, on_false),
         llvm=_llvm_select,
         accepts=lambda call: True,  # a truth and two of any kind; in loops a number and several
         c="{0} ? {2} : {1}",
+        c_of_whole="{0} ? {2} : {1}",
+    ),
+    ScalarOperation(
+        # One of several numbers, by a whole number that is within their range (`Graph.lookup`).
+        name="lookup",
+        jax=_lookup,
+        primitives=(),
+        python=lambda index, *cases: cases[index],
+        takes_whole=True,
+        derivative=_derive_lookup,
+        transpose=_transpose_lookup,
+        llvm=_llvm_lookup,
+        accepts=lambda call: True,
+        c=_c_lookup,
     ),
     # Powers and roots.
     ScalarOperation(
@@ -832,7 +1042,9 @@ _ALL = (
         accepts=same(DOUBLE, WHOLE),
         c="fabs({})",
     ),
-    ScalarOperation(name="sign", jax=lax.sign_p.bind, numpy=np.sign, llvm=_llvm_sign, c="sign_of({})"),
+    ScalarOperation(
+        name="sign", jax=lax.sign_p.bind, numpy=np.sign, llvm=_llvm_sign, accepts=same(DOUBLE, WHOLE), c="sign_of({})"
+    ),
     ScalarOperation(name="floor", jax=lax.floor_p.bind, numpy=np.floor, llvm=_intrinsic("floor"), c="floor({})"),
     ScalarOperation(name="ceil", jax=lax.ceil_p.bind, numpy=np.ceil, llvm=_intrinsic("ceil"), c="ceil({})"),
     ScalarOperation(
@@ -841,17 +1053,32 @@ _ALL = (
         llvm=_llvm_round,
         c=lambda call: "nearbyint({})" if _rounds_to_even(call) else "round({})",
     ),
-    _function("rem", None, word="fmod", example=(2.5, 0.75)),
+    ScalarOperation(
+        name="rem",
+        jax=lax.rem_p.bind,
+        numpy=_remainder,
+        llvm=_llvm_rem,
+        accepts=same(DOUBLE, WHOLE),
+        library="fmod",
+        example=(2.5, 0.75),
+        c="fmod({}, {})",
+        c_of_whole="remainder_of({}, {})",
+    ),
     _function("nextafter", None, example=(0.5, 1.0)),
     ScalarOperation(
         name="is_finite", jax=lax.is_finite_p.bind, numpy=np.isfinite, llvm=_llvm_is_finite, c="is_finite({})"
     ),
     # The larger, the smaller, what lies between.
-    _on_two("max", _ORDERED, np.maximum, stablehlo.maximum, _extremum("max"), "larger({}, {})"),
-    _on_two("min", _ORDERED, np.minimum, stablehlo.minimum, _extremum("min"), "smaller({}, {})"),
+    _on_two(
+        "max", _ORDERED, np.maximum, stablehlo.maximum, _extremum("max"), "larger({}, {})", "{0} > {1} ? {0} : {1}"
+    ),
+    _on_two(
+        "min", _ORDERED, np.minimum, stablehlo.minimum, _extremum("min"), "smaller({}, {})", "{0} < {1} ? {0} : {1}"
+    ),
     ScalarOperation(
         name="clamp",
         jax=lax.clamp_p.bind,
+        numpy=lambda low, x, high: np.minimum(np.maximum(low, x), high),
         llvm=_llvm_clamp,
         accepts=same(DOUBLE, WHOLE, TRUTH),
         c="smaller(larger({1}, {0}), {2})",
@@ -863,10 +1090,23 @@ _ALL = (
     _comparison("ge", ">=", np.greater_equal, operator.ge, "oge", "sge"),
     _comparison("eq", "==", np.equal, operator.eq, "oeq", "eq", (DOUBLE, WHOLE, TRUTH)),
     _comparison("ne", "!=", np.not_equal, operator.ne, "une", "ne", (DOUBLE, WHOLE, TRUTH)),
+    ScalarOperation(name="lt_to", fold=_fold_before, llvm=_before("slt"), accepts=same(DOUBLE, WHOLE)),
+    ScalarOperation(name="le_to", fold=_fold_not_behind, llvm=_before("sle"), accepts=same(DOUBLE, WHOLE)),
     # Truths, and bits of whole numbers.
-    _on_two("and", _OF_BITS, np.bitwise_and, stablehlo.and_, _logic("and"), "{} & {}"),
-    _on_two("or", _OF_BITS, np.bitwise_or, stablehlo.or_, _logic("or"), "{} | {}"),
-    _on_two("xor", _OF_BITS, np.bitwise_xor, None, _logic("xor"), "{} ^ {}"),
+    _on_two(
+        "and",
+        _OF_BITS,
+        np.bitwise_and,
+        stablehlo.and_,
+        _logic("and"),
+        "{} & {}",
+        "{} & {}",
+        fold=_fold_logic("and", False),
+    ),
+    _on_two(
+        "or", _OF_BITS, np.bitwise_or, stablehlo.or_, _logic("or"), "{} | {}", "{} | {}", fold=_fold_logic("or", True)
+    ),
+    _on_two("xor", _OF_BITS, np.bitwise_xor, None, _logic("xor"), "{} ^ {}", "{} ^ {}"),
     ScalarOperation(
         name="not",
         jax=lax.not_p.bind,
@@ -882,8 +1122,27 @@ _ALL = (
         fold=_fold_convert,
         copies=True,
         llvm=_llvm_convert,
-        # A float as 32 bits saturates at other bounds than as 64, which is how all whole numbers are computed.
-        accepts=lambda call: not (call.kinds == (DOUBLE,) and call.parameters["new_dtype"] == np.int32),
+        accepts=lambda call: True,
+    ),
+    # What a conversion is in a graph. XLA makes of floats whole numbers of 64 bits as `_integer_of_float` does.
+    ScalarOperation(
+        name="integer_of_float",
+        jax=lambda a: lax.convert_element_type(a, INT),
+        primitives=(),
+        numpy=_integer_of_float,
+        llvm=lambda text, call, a: text.intrinsic("fptosi.sat", DOUBLE, a, result=WHOLE),
+        c="integer_of_float({})",
+    ),
+    ScalarOperation(
+        name="float_of_integer",
+        jax=lambda a: lax.convert_element_type(a, FLOAT),
+        primitives=(),
+        numpy=lambda a: np.asarray(a).astype(FLOAT),
+        python=float,
+        takes_whole=True,
+        llvm=lambda text, call, a: text.made(f"sitofp {text.type(WHOLE)} {a} to {text.type(DOUBLE)}"),
+        accepts=same(WHOLE),
+        c=lambda call: "(double){}",
     ),
     ScalarOperation(
         name="stop_gradient",

@@ -1,7 +1,6 @@
 """Follows the operations of JAX with arrays of names of scalar nodes."""
 
 import itertools
-from collections.abc import Callable
 from contextlib import contextmanager
 
 import jax
@@ -16,7 +15,6 @@ from spherejax.compiler.graph import Graph, TooManyOperations
 from spherejax.compiler.operations import (
     BOOL,
     FLOAT,
-    INT,
     MAY_OVERFLOW,
     OF_PRIMITIVE,
     NotScalarizable,
@@ -51,7 +49,6 @@ class Interpreter:
         self.has_slopes = has_slopes
         self.limit, self.limit_of_sums = maximum_operations, maximum_in_sums
         self._depth = 0
-        self._limits: dict[int, tuple[int, int]] = {}
         self._n_given, self._n_for_slopes, self._n_in_sums = len(graph.operations), 0, 0
 
     def run(self, jaxpr, constants, arguments: list[np.ndarray]) -> list[np.ndarray]:
@@ -113,7 +110,8 @@ class Interpreter:
         dtypes = [graph_dtype(variable.aval.dtype) for variable in equation.outvars]
         if all(0 in shape for shape in shapes):
             return [np.zeros(shape, np.int64) for shape in shapes]
-        use = Use(equation.primitive, parameters, shapes, dtypes)
+        types = [variable.aval.dtype for variable in equation.outvars]
+        use = Use(equation.primitive, parameters, shapes, dtypes, types)
         if (operation := OF_PRIMITIVE.get(name)) is not None:
             return self._in_range(name, by_entry(self.graph, operation, inputs, use), equation)
         if (on_arrays := ARRAY_OPERATIONS.get(name)) is not None and on_arrays.names is not None:
@@ -123,34 +121,13 @@ class Interpreter:
         raise NotScalarizable(f"the operation {name!r} has no scalar rule")
 
     def _in_range(self, name: str, outputs: list[np.ndarray], equation) -> list[np.ndarray]:
-        """What an operation gives, with whole numbers in the range of their own type: all are computed with 64 bits.
-
-        Raises:
-            NotScalarizable: where one that is computed might leave that range.
-        """
+        """What an operation gives, with whole numbers in the range of their own type: all are computed with 64 bits."""
         types = [variable.aval.dtype for variable in equation.outvars]
         narrow = [np.dtype(dtype) for dtype in types if dtype != jax.dtypes.float0]
         if name not in MAY_OVERFLOW or not any(dtype.kind in "iu" and dtype.itemsize < 8 for dtype in narrow):
             return outputs
         (dtype,), (array,) = narrow, outputs
-        least, largest = int(np.iinfo(dtype).min), int(np.iinfo(dtype).max)
-
-        def in_range(node: int) -> int:
-            if self.graph.is_constant(node):
-                return self.graph.constant(self.graph.value(node).astype(dtype), INT)
-            low, high = self._limits_of(node)
-            if low < least or high > largest:
-                raise NotScalarizable(f"the operation {name!r} of numbers of type {dtype}")
-            return node
-
-        return [_by_entry(in_range, array)]
-
-    def _limits_of(self, node: int) -> tuple[int, int]:
-        """Between what a whole number surely lies, as an index of a branch does, or a count of what holds."""
-        known = self._limits.get(node)
-        if known is None:
-            known = self._limits[node] = _limits(self.graph, node, self._limits_of)
-        return known
+        return [_by_entry(lambda node: self.graph.wrapped(node, dtype), array)]
 
     def _note_sums(self, parameters, inputs: list[np.ndarray]) -> None:
         """Count a product of arrays that loops may evaluate, ahead of making thousands of nodes for it."""
@@ -259,63 +236,21 @@ class Interpreter:
         return [*carried, *(np.stack(column) for column in zip(*stacked, strict=True))]
 
     def cond(self, parameters, inputs) -> list[np.ndarray]:
-        """Branches: the one that is taken when that is known, else both and a selection, as under vmap."""
+        """Branches: the one that is taken when that is known, else all and a selection, as under vmap."""
         index, operands, branches = int(inputs[0]), inputs[1:], parameters["branches"]
         graph = self.graph
         if graph.is_constant(index):
             chosen = branches[int(np.clip(int(graph.value(index)), 0, len(branches) - 1))]
             return self.run(chosen.jaxpr, chosen.consts, operands)
-        # JAX makes the index a whole number; a selection needs the truth that it was made from.
-        index = graph.predicate_of(index)
-        if len(branches) != 2 or graph.dtypes[index] != BOOL:
-            raise NotScalarizable("a switch between more than two branches")
-        on_false, on_true = (self.run(branch.jaxpr, branch.consts, operands) for branch in branches)
+        of_branches = [self.run(branch.jaxpr, branch.consts, operands) for branch in branches]
         return [
-            np.vectorize(lambda f, t: graph.select(index, int(f), int(t)), otypes=[np.int64])(false, true)
-            for false, true in zip(on_false, on_true, strict=True)
+            _by_entry(lambda *cases: graph.lookup(index, cases), *outputs) for outputs in zip(*of_branches, strict=True)
         ]
 
 
 def _has_derivative(variable) -> bool:
     """Whether something that is read may move."""
     return not private.is_dropped(variable) and variable.aval.dtype == FLOAT
-
-
-ANY_NUMBER = -(2**63), 2**63 - 1
-"""Limits of a whole number of 64 bits."""
-
-
-def _limits(graph: Graph, node: int, limits_of: Callable[[int], tuple[int, int]]) -> tuple[int, int]:
-    """Limits of what an operation gives, by those of its arguments, which `limits_of` says."""
-    if graph.is_constant(node):
-        return int(graph.value(node)), int(graph.value(node))
-    operation, arguments = graph.operations[node], graph.arguments[node]
-    if operation == "select":
-        arguments = arguments[1:]
-    if operation not in _WITH_LIMITS or any(graph.dtypes[argument] != INT for argument in arguments):
-        return ANY_NUMBER
-    low, high = _WITH_LIMITS[operation](*map(limits_of, arguments))
-    # What is beyond 64 bits may have wrapped around to any number.
-    return (low, high) if low >= ANY_NUMBER[0] and high <= ANY_NUMBER[1] else ANY_NUMBER
-
-
-def _of_corners(function: Callable[[int, int], int]) -> Callable[..., tuple[int, int]]:
-    def limits(a: tuple[int, int], b: tuple[int, int]) -> tuple[int, int]:
-        corners = [function(x, y) for x in a for y in b]
-        return min(corners), max(corners)
-
-    return limits
-
-
-_WITH_LIMITS: dict[str, Callable[..., tuple[int, int]]] = {
-    "select": lambda *cases: (min(low for low, _ in cases), max(high for _, high in cases)),
-    "add": _of_corners(lambda x, y: x + y),
-    "sub": _of_corners(lambda x, y: x - y),
-    "mul": _of_corners(lambda x, y: x * y),
-    "min": _of_corners(min),
-    "max": _of_corners(max),
-    "neg": lambda one: (-one[1], -one[0]),
-}
 
 
 def _by_entry(function, *arrays: np.ndarray) -> np.ndarray:

@@ -58,13 +58,35 @@ def truths(function):
     return lambda *numbers: function(*(x > 0 for x in numbers))
 
 
+def by_bits(primitive):
+    """As JAX orders numbers for searches and sorts: zeros and NaN of either sign are one before."""
+
+    def one(x):
+        unsigned = lax.select(x == 0, lax.full_like(x, 0.0), x)
+        return lax.select(x != x, lax.full_like(x, np.nan), unsigned)
+
+    return lambda x, y: primitive.bind(one(x), one(y))
+
+
+def chosen(x, y, z):
+    """Of more cases than XLA has as selections, most of which are numbers that are known."""
+    cases = [*range(1, 9), y, z, *range(9, 19)]
+    return lax.select_n(jnp.floor(10 * x).astype(jnp.int32), *(jnp.broadcast_to(c, x.shape) * 1.0 for c in cases))
+
+
 ROWS = {
     "add": Row(lambda x, y: x + y, whole=lax.add),
     "sub": Row(lambda x, y: x - y, whole=lax.sub),
     "mul": Row(lambda x, y: x * y, whole=lax.mul),
-    "div": Row(lambda x, y: x / y, 0.5),
+    "div": Row(lambda x, y: x / y, 0.5, whole=lax.div),
     "neg": Row(lambda x: -x, whole=lax.neg),
     "select": Row(lambda x, y, z: lax.select(x > 0.1, y, z), nodes={"select", "gt"}),
+    "lookup": Row(
+        chosen,
+        (0.805, -2, -2),
+        (0.895, 2, 2),
+        nodes={"floor", "mul", "integer_of_float", "max", "min", "lookup"},
+    ),
     "pow": Row(lambda x, y: x**y, 0.5),
     "sqrt": Row(jnp.sqrt, 0.5),
     "root_guarded_at_zero": Row(lambda x: abs(x) ** 1.5, 0.5, nodes={"abs", "mul", "root_guarded_at_zero"}),
@@ -94,11 +116,11 @@ ROWS = {
     "erf": Row(lax.erf),
     "erfc": Row(lax.erfc, -1.0, 1.0),
     "abs": Row(jnp.abs, 0.5, whole=jnp.abs),
-    "sign": Row(jnp.sign, 0.5),
+    "sign": Row(jnp.sign, 0.5, whole=jnp.sign),
     "floor": Row(jnp.floor),
     "ceil": Row(jnp.ceil),
     "round": Row(lambda x: lax.round(x, lax.RoundingMethod.AWAY_FROM_ZERO)),
-    "rem": Row(lax.rem, 0.5),
+    "rem": Row(lax.rem, 0.5, whole=lax.rem),
     "nextafter": Row(jnp.nextafter, without={"derivative"}),  # JAX has none
     "is_finite": Row(jnp.isfinite),
     "max": Row(jnp.maximum, whole=jnp.maximum),
@@ -110,6 +132,8 @@ ROWS = {
     "ge": Row(lax.ge, whole=lax.ge),
     "eq": Row(lax.eq, whole=lax.eq),
     "ne": Row(lax.ne, whole=lax.ne),
+    "lt_to": Row(by_bits(lax.lt_to_p), nodes={"le", "not", "eq", "and"}, whole=lax.lt_to_p.bind),
+    "le_to": Row(by_bits(lax.le_to_p), nodes={"le", "ne", "or"}, whole=lax.le_to_p.bind),
     "and": Row(truths(lax.bitwise_and), nodes={"gt", "and"}, whole=lax.bitwise_and),
     "or": Row(truths(lax.bitwise_or), nodes={"gt", "or"}, whole=lax.bitwise_or),
     "xor": Row(truths(lax.bitwise_xor), nodes={"gt", "xor"}, whole=lax.bitwise_xor),
@@ -117,6 +141,9 @@ ROWS = {
     "convert_element_type": Row(
         lambda x: (x > 0).astype(float), nodes={"gt", "select"}, whole=lambda n: n.astype(float)
     ),
+    # C passes on doubles, which not all whole numbers are; the next row has it.
+    "integer_of_float": Row(lambda x: x.astype(int), without={"c"}),
+    "float_of_integer": Row(lambda x: x.astype(int).astype(float), nodes={"integer_of_float", "float_of_integer"}),
     "stop_gradient": Row(lax.stop_gradient),
 }
 BY_THE_COMPILER = {"custom_jvp_node"}
@@ -424,21 +451,24 @@ WRAPPING: dict[str, Callable] = {
 
 @pytest.mark.parametrize("name", WRAPPING)
 @pytest.mark.parametrize("dtype", [jnp.int8, jnp.uint8, jnp.int32, jnp.uint32])
-def test_whole_numbers_of_fewer_bits_wrap_around_or_are_refused(name, dtype):
-    """They were computed with 64 bits, and were then beyond what their type has, in silence."""
+def test_whole_numbers_of_fewer_bits_wrap_around(name, dtype, monkeypatch):
+    """They are computed with 64 bits, and were then beyond what their type has, in silence."""
+    monkeypatch.setattr(primitive, "SMALLEST_CALLED", 0)
     large = int(jnp.iinfo(dtype).max) // 2 + 7
 
     def of_constant(x):
-        return jnp.where(WRAPPING[name](jnp.asarray(large, dtype)) < large // 2, x, -x)
+        return WRAPPING[name](jnp.asarray(large, dtype)) + 0 * x
 
     def of_computed(x):
-        k = jnp.where(x > 0, jnp.asarray(large, dtype), jnp.asarray(1, dtype))
-        return jnp.where(WRAPPING[name](k) < large // 2, x, -x)
+        return WRAPPING[name](jnp.where(x > 0, jnp.asarray(large, dtype), jnp.asarray(1, dtype))) * 1.0
 
-    x = jnp.array(0.7)
-    assert float(scalarize(of_constant, x).compute(np.asarray(x))) == float(of_constant(x))
-    with pytest.raises(NotScalarizable, match="of numbers of type"):
-        scalarize(of_computed, x)
+    for function in (of_constant, of_computed):
+        made, x = scalarize(function, 0.7), np.array([0.7, -0.3])
+        right = jax.vmap(function)(x)
+        np.testing.assert_array_equal([made.compute(one) for one in x], right)
+        np.testing.assert_array_equal(jax.jit(jax.vmap(made))(x), right)
+        with machine_code.native_code():
+            np.testing.assert_array_equal(jax.jit(jax.vmap(made)).lower(x).compile()(x), right)
 
 
 BOUNDED: dict[str, Callable] = {
@@ -464,5 +494,39 @@ def test_a_number_beyond_64_bits_may_be_any():
         k = jnp.where(x > 0, jnp.asarray(2**62, jnp.int64), 1)
         return jnp.minimum(4 * k, 5).astype(jnp.int32) * x
 
-    with pytest.raises(NotScalarizable, match="of numbers of type int32"):
-        scalarize(function, jnp.array(0.7))
+    made = scalarize(function, jnp.array(0.7))
+    for x in (-0.7, 0.7):
+        assert made.compute(x) == function(jnp.array(x))
+
+
+LIMITED: dict[str, Callable] = {
+    "chosen": lambda k, n: jnp.where(k > 0, k, n),
+    "added": lambda k, n: k + 3 * n - k * n,
+    "divided": lambda k, n: lax.div(k, n),
+    "the rest": lambda k, n: lax.rem(k, n),
+    "by a number": lambda k, n: lax.div(k, jnp.asarray(-3)) + lax.rem(n, jnp.asarray(4)) + lax.div(n, jnp.asarray(2)),
+    "without sign": lambda k, n: jnp.abs(k) - jnp.sign(n) + -k,
+    "bits": lambda k, n: (k & 6) + (jnp.abs(k) & n),
+    "bounded": lambda k, n: jnp.maximum(jnp.minimum(k, n), -2) + lax.clamp(jnp.asarray(-1), n, jnp.asarray(3)),
+    "looked up": lambda k, n: jnp.array([4, -7, 9, 2, 30])[jnp.clip(k, 0, 4)] * n,
+}
+
+
+@pytest.mark.parametrize("name", LIMITED)
+def test_whole_numbers_are_within_their_limits(name):
+    """Of each operation that says between what its results are, all that it gives for arguments within limits."""
+
+    def function(x, y):
+        k, n = (jnp.clip(z.astype(int), -5, 6) for z in (x, y))
+        return LIMITED[name](k, n)
+
+    made = scalarize(function, 0.0, 0.0)
+    (node,) = made._flat_outputs
+    low, high = made._graph.limits(node)
+    assert low > -1000
+    assert high < 1000
+    x, y = (a.ravel() * 1.0 for a in np.meshgrid(np.arange(-6, 8), np.arange(-6, 8)))
+    values = jax.vmap(function)(x, y)
+    assert low <= values.min()
+    assert values.max() <= high
+    np.testing.assert_array_equal(jax.jit(jax.vmap(made))(x, y), values)

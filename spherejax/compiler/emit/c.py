@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from spherejax.compiler.graph import Graph
-from spherejax.compiler.operations import BOOL, FLOAT, KINDS, OPERATIONS, Call, NotScalarizable
+from spherejax.compiler.operations import BOOL, FLOAT, INT, KINDS, OPERATIONS, Call, NotScalarizable
 
 PRELUDE = """\
 #if defined(__FAST_MATH__) || (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__) || defined(_M_FP_FAST) || \\
@@ -41,6 +41,16 @@ static inline int is_finite(double a) {
 static inline double larger(double a, double b) { return a != a || a > b ? a : b; }   /* NaN wins, as in the library */
 static inline double smaller(double a, double b) { return a != a || a < b ? a : b; }
 static inline double sign_of(double a) { return a > 0 ? 1.0 : a < 0 ? -1.0 : a; }
+static inline long long integer_of_float(double a) {   /* cut; what is beyond is the nearer bound, and NaN is 0 */
+  if (a != a) return 0;
+  if (a >= 9223372036854775808.0) return INT64_MAX;
+  return a <= -9223372036854775808.0 ? INT64_MIN : (long long)a;
+}
+static inline long long quotient(long long a, long long b) {
+  if (b == 0) return -1;
+  return b == -1 ? (long long)(0ULL - (unsigned long long)a) : a / b;
+}
+static inline long long remainder_of(long long a, long long b) { return b == 0 ? a : b == -1 ? 0 : a % b; }
 static inline double root_guarded_at_zero(double a) { return a == 0 ? 0.0 : sqrt(a); }
 """
 """What the functions need in front of them."""
@@ -88,7 +98,13 @@ def c_functions(graph: Graph, outputs: Sequence[int], ahead: Sequence[int], n_ar
 
 def _read_ahead(graph: Graph, node: int, place: int) -> str:
     # All that goes ahead is passed on as doubles; a truth is 0 or 1 of them.
+    if graph.dtypes[node] == INT and max(map(abs, graph.limits(node))) > LARGEST_EXACT:
+        raise NotScalarizable("a whole number that may be no double is not written in C")
     return f"ahead[{place}] != 0" if graph.dtypes[node] == BOOL else f"ahead[{place}]"
+
+
+LARGEST_EXACT = 2**53
+"""Up to which all whole numbers are doubles."""
 
 
 def _statements(graph: Graph, outputs: Sequence[int], known_texts: dict[int, str]) -> list[str]:
@@ -125,6 +141,8 @@ def _name(graph: Graph, node: int) -> str:
 def _constant(value: Any) -> str:
     if isinstance(value, np.bool_ | bool):  # before `float`: C prints a truth as 1, not as 0x1p+0
         return str(int(value))
+    if isinstance(value, np.integer):
+        return f"({int(value) + 1}LL - 1)" if value < 0 else f"{int(value)}LL"  # the least one has no literal
     number = float(value)
     if math.isfinite(number):
         return f"({number.hex()})"  # every bit of it

@@ -37,7 +37,8 @@ class EagerEvaluator:
             elif operation != "constant":
                 # Of whole numbers Python's results are others: 7 / 2 is 3.5, and sums do not wrap.
                 has_whole = any(graph.dtypes[a] == INT for a in graph.arguments[node])
-                python = None if has_whole else OPERATIONS[operation].python
+                record = OPERATIONS[operation]
+                python = None if has_whole and not record.takes_whole else record.python
                 function = python or _evaluated_by(graph, node)
                 # One or two arguments are passed without a list, which would have to be made in every call.
                 if len(arguments) > 2:

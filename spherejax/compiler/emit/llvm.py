@@ -4,9 +4,10 @@ A function has the binary interface of `jax.ffi` (`xla/ffi/api/c_api.h`, version
 a frame, in which it finds where the numbers of its arguments are, and where its results are to go.
 """
 
-from collections.abc import Callable, Sequence
+import hashlib
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -209,6 +210,59 @@ def _function(word: str, size: int, n_arguments: int) -> tuple[tuple[str, ...], 
     return tuple(declared), "\n".join([begin, *lines, "}", ""])
 
 
+COPY = "declare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)"
+"""What copies an array."""
+
+FEWEST_ENTRIES = 5
+"""Cases of a lookup that are a table in memory, at least: fewer are selections."""
+
+
+class Tables(NamedTuple):
+    """Lookups that read memory.
+
+    Attributes:
+        lookups: their nodes.
+        entries: arguments that nothing else reads: they stay where they are.
+    """
+
+    lookups: frozenset[int]
+    entries: frozenset[int]
+
+    @classmethod
+    def of(cls, line: Any, place: Mapping[int, tuple[int, int]]) -> "Tables":
+        """Those of a line, of which `place` says what is an argument."""
+        graph, lookups = line.graph, []
+        for node in line.nodes:
+            # A truth has no pointer to its bit.
+            is_lookup = node not in place and graph.operations[node] == "lookup" and graph.dtypes[node] != BOOL
+            if is_lookup and len(graph.arguments[node]) > FEWEST_ENTRIES:
+                lookups.append(node)
+        if not lookups:
+            return cls(frozenset(), frozenset())
+        entries = {case for node in lookups for case in graph.arguments[node][1:] if case in place}
+        in_tables = frozenset(lookups)
+        for node in line.nodes:
+            if node not in place:
+                entries.difference_update(graph.arguments[node][: 1 if node in in_tables else None])
+        for output in line.outputs:
+            entries.difference_update(map(int, output.ravel()))
+        return cls(in_tables, frozenset(entries))
+
+
+class StoredTable(NamedTuple):
+    """Where the entries of a table are.
+
+    Attributes:
+        pointer: to the first one.
+        stride: numbers from one to the next.
+        has_numbers: whether an entry is a number for each run, or lane, side by side.
+    """
+
+    pointer: str
+    stride: int
+    has_numbers: bool
+
+
 class FunctionText:
     """The text of a function of LLVM for a line.
 
@@ -257,8 +311,11 @@ class FunctionText:
         self.loops = loops_of(line, self.place) if is_alone else None
         self.rows = rows_of(line, self._is_operation, LANES_AT_A_TIME) if is_alone else None
         self.deferred = {result: self.deferred_rows(result) for result in deferred}
+        self.tables = Tables.of(line, self.place)
+        self._rooms: list[str] = []
         self._in_vectors: dict[int, tuple[str, tuple[int, ...]]] = {}
         self._arrays: dict[Any, str] = {}
+        self._tables: dict[tuple[tuple[int, ...], bool], StoredTable] = {}
         self._of_one = Numbers(self._made, self.declared, self._size(False))
         self._of_all_lanes = Numbers(self._made, self.declared, self._size(True))
 
@@ -297,10 +354,12 @@ class FunctionText:
         if node not in self.place and graph.is_constant(node):
             return self._constant(graph.value(node), graph.dtypes[node], is_wide)
         if not is_wide or self.spread[node]:
-            return self.values[node]
+            # Entries of tables are read where one has to be copied.
+            return self._read(node) if node in self.tables.entries else self.values[node]
         if node not in self.wide:
             # Read again in the loop: a thousand vectors of one number each would have to wait in memory.
-            one = self._read(node) if self.in_loop and node in self.place else self.values[node]
+            is_read = node in self.tables.entries or (self.in_loop and node in self.place)
+            one = self._read(node) if is_read else self.values[node]
             self.wide[node] = self._over_lanes(one, graph.dtypes[node])
         return self.wide[node]
 
@@ -340,6 +399,8 @@ class FunctionText:
 
     def _node(self, node: int) -> str:
         graph, is_wide = self.graph, bool(self.spread[node])
+        if node in self.tables.lookups:
+            return self._looked_up(node)
         values = [self._value(a, is_wide) for a in graph.arguments[node]]
         writer = self._of_all_lanes if is_wide else self._of_one
         return OPERATIONS[graph.operations[node]].in_llvm(writer, _call(graph, node), *values)
@@ -359,6 +420,86 @@ class FunctionText:
         self._in_vectors[first] = result, nodes
         for i, node in enumerate(nodes):
             self.values[node] = self._made(f"extractelement {typed} {result}, i64 {i}")
+
+    # Tables -----------------------------------------------------------------------------------------------------------
+
+    def _looked_up(self, node: int) -> str:
+        """An entry of a table in memory, or of a vector one for each of its numbers."""
+        graph, is_wide = self.graph, bool(self.spread[node])
+        index, *cases = graph.arguments[node]
+        kind, size = KINDS[graph.dtypes[node]], self._size(is_wide)
+        table = self._table(tuple(cases))
+        value = self._value(index, is_wide)
+        if size == 1:
+            return self._entry_of(table, value, 0, kind)
+        vector, whole = f"<{size} x {kind}>", "poison"
+        for i in range(size):
+            place = self._made(f"extractelement <{size} x i64> {value}, i64 {i}")
+            entry = self._entry_of(table, place, i, kind)
+            whole = self._made(f"insertelement {vector} {whole}, {kind} {entry}, i64 {i}")
+        return whole
+
+    def _entry_of(self, table: "StoredTable", index: str, number: int, kind: str) -> str:
+        if table.stride != 1:
+            index = self._made(f"mul nuw nsw i64 {index}, {table.stride}")
+        if table.has_numbers and number:
+            index = self._made(f"add nuw nsw i64 {index}, {number}")
+        pointer = self._made(f"getelementptr inbounds {kind}, ptr {table.pointer}, i64 {index}")
+        return self._made(f"load {kind}, ptr {pointer}, align 8")
+
+    def _table(self, cases: tuple[int, ...]) -> "StoredTable":
+        """Where the entries of a table are: constants, in an argument, or copied side by side."""
+        graph, kind = self.graph, KINDS[self.graph.dtypes[cases[0]]]
+        is_wide = any(self.spread.get(case, 0) for case in cases)
+        if (cases, self.in_loop and is_wide) in self._tables:
+            return self._tables[cases, self.in_loop and is_wide]
+        size = self._size(is_wide)
+        place = beside([self.place.get(case) for case in cases])
+        if all(self._is_constant(case) for case in cases):
+            table = StoredTable(self._constants([constant(graph.value(case), kind) for case in cases], kind), 1, False)
+        elif place is not None:
+            argument, entry = place
+            pointer = self._pointer(f"%a{argument}", entry, graph.dtypes[cases[0]], is_wide)
+            table = StoredTable(pointer, self.n_runs * (self.n_lanes if is_wide else 1), size > 1)
+        else:
+            table = StoredTable(self._copied(cases, is_wide, kind), size, size > 1)
+        self._tables[cases, self.in_loop and is_wide] = table
+        return table
+
+    def _is_constant(self, node: int) -> bool:
+        return node not in self.place and self.graph.is_constant(node)
+
+    def _constants(self, texts: Sequence[str], kind: str) -> str:
+        content = f"[{len(texts)} x {kind}] [{', '.join(f'{kind} {text}' for text in texts)}], align 8"
+        # Functions are put together by their texts: equal tables have one name, and others none of theirs.
+        name = f"@spherejax.table.{hashlib.sha256(content.encode()).hexdigest()[:16]}"
+        self.declared[f"{name} = internal unnamed_addr constant {content}"] = None
+        return name
+
+    def _copied(self, cases: tuple[int, ...], is_wide: bool, kind: str) -> str:
+        """The entries side by side in an array of its own: those that are so in an argument in one piece."""
+        size, array = self._size(is_wide), f"%table{len(self._rooms)}"
+        self._rooms.append(f"  {array} = alloca [{len(cases) * size} x {kind}], align 64")
+        of_value = f"<{size} x {kind}>" if size > 1 else kind
+        at = 0
+        while at < len(cases):
+            target = self._made(f"getelementptr inbounds {kind}, ptr {array}, i64 {at * size}")
+            n = 1
+            if not is_wide and cases[at] in self.place:
+                while at + n < len(cases) and beside([self.place.get(c) for c in cases[at : at + n + 1]]) is not None:
+                    n += 1
+            if n > 1:
+                self.declared[COPY] = None
+                argument, entry = self.place[cases[at]]
+                source = self._pointer(f"%a{argument}", entry, self.graph.dtypes[cases[at]], False)
+                self.lines.append(
+                    f"  call void @llvm.memcpy.p0.p0.i64(ptr align 8 {target}, ptr align 8 {source}, "
+                    f"i64 {8 * n * size}, i1 false)"
+                )
+            else:
+                self.lines.append(f"  store {of_value} {self._value(cases[at], is_wide)}, ptr {target}, align 8")
+            at += n
+        return array
 
     # Loops over vectors -----------------------------------------------------------------------------------------------
 
@@ -414,7 +555,7 @@ class FunctionText:
         factor = self._pointer(vector, rows.factors[entry], FLOAT, False)
         self.lines.append(f"  store double {self._value(row.factor, False)}, ptr {factor}, align 8")
         if entry in rows.others:
-            self.declared["declare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)"] = None
+            self.declared[COPY] = None
             others = self._pointer(vector, rows.others[entry], FLOAT, False)
             self.lines.append(
                 f"  call void @llvm.memcpy.p0.p0.i64(ptr align 8 {others}, ptr align 8 {self._array(row.others)}, "
@@ -484,7 +625,8 @@ class FunctionText:
         self._part(is_wide=False)
         if (self.axes and any(self.spread.values())) or any(self.outputs_spread):
             self._over_all_lanes()
-        return self.lines
+        # Ahead of all: room that is taken in a loop would be taken in each turn.
+        return [*self._rooms, *self.lines]
 
     def _part(self, is_wide: bool) -> None:
         """What is over lanes, or what is not."""
@@ -499,10 +641,17 @@ class FunctionText:
                 continue
             if self.loops is not None and node not in self.loops.written:
                 continue
+            if node in self.tables.entries:
+                continue
             if node in self.place:
                 self.values[node] = self._read(node)
             elif self._is_operation(node):
                 self.values[node] = self._node(node)
+        if not is_wide:
+            for node in self.tables.lookups:  # what lanes look up in a table that they share
+                cases = self.graph.arguments[node][1:]
+                if self.spread[node] and not any(self.spread.get(case, 0) for case in cases):
+                    self._table(cases)
         # With its own part: what is not over lanes is written once, ahead of the loop.
         for i, (output, spread) in enumerate(zip(self.line.outputs, self.outputs_spread, strict=True)):
             if bool(spread) == is_wide:
@@ -521,7 +670,12 @@ class FunctionText:
         if n_turns == 1:  # without a loop all places are constants
             self._part(is_wide=True)
             return
-        wanted = [a for node in self.line.nodes if self.spread[node] for a in self.graph.arguments[node]]
+        wanted = [
+            argument
+            for node in self.line.nodes
+            if self.spread[node]
+            for argument in self.graph.arguments[node][: 1 if node in self.tables.lookups else None]
+        ]
         for output, spread in zip(self.line.outputs, self.outputs_spread, strict=True):
             wanted += map(int, output.ravel()) if spread else []
         for node in dict.fromkeys(wanted):  # what all lanes share is spread out once

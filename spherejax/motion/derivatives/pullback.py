@@ -407,7 +407,7 @@ def _pulled_back(
     at_start = _start_back(plan, inputs, by_assembly, by_start)
     amplification = jnp.where(swept.is_sound, swept.sweep.amplification, 0.0)
     is_determined = swept.is_sound & jnp.asarray(has_succeeded) & (amplification <= LARGEST_AMPLIFICATION)
-    slopes = to_values(swept.sweep.by_numbers)[0] + at_start
+    slopes = to_values(jax.tree.map(_as_cotangent, swept.sweep.by_numbers))[0] + at_start
     return Gradient(jnp.where(is_determined, slopes, jnp.nan), amplification)
 
 
@@ -610,7 +610,7 @@ class _StepsBack:
         scale = sweep.scale + added @ self.tolerances.sizes(y_next)
         amplification = jnp.abs(by_state) @ self.tolerances.errors(y) / jnp.where(scale > 0, scale, 1.0)
         amplification = jnp.maximum(sweep.amplification, amplification)
-        return _Sweep(by_state, jax.tree.map(jnp.add, by_numbers, more), i, scale, amplification)
+        return _Sweep(by_state, _added(by_numbers, more), i, scale, amplification)
 
     def _made(self, parameters, t, size, y, bend) -> tuple[Array, dict[str, Any]]:
         """The end of a step, before what happens there, and what states inside it are made from."""
@@ -660,8 +660,8 @@ class _StepsBack:
         (by_numbers,) = corrected or (by_numbers,)
         if back is not None:
             more, by_whole = back(by_whole)
-            by_numbers = jax.tree.map(jnp.add, by_numbers, more)
-        return by_numbers, jax.tree.map(jnp.add, by_inside, by_whole)
+            by_numbers = _added(by_numbers, more)
+        return by_numbers, _added(by_inside, by_whole)
 
     def _rate_by(self, parameters: Parameters) -> Callable:
         return lambda t, y: self.rate(t, y, parameters)
@@ -681,7 +681,16 @@ class _StepsBack:
             so_far, more = (by_inside,), jax.vjp(of_these, inside)[1](self.by_ys[i])
         else:
             so_far, more = (by_inside, by_numbers), jax.vjp(sampled, inside, self.parameters)[1](self.by_ys[i])
-        return jax.tree.map(jnp.add, so_far, more)
+        return _added(so_far, more)
+
+
+def _added(so_far: Any, more: Any) -> Any:
+    """Derivatives by numbers, added up. By truths and whole numbers, which a law may evaluate ahead, there are none."""
+    return jax.tree.map(lambda x, y: x if y.dtype == jax.dtypes.float0 else x + y, so_far, more)
+
+
+def _as_cotangent(x: Any) -> Any:
+    return x if jnp.issubdtype(x.dtype, jnp.floating) else np.zeros(x.shape, jax.dtypes.float0)
 
 
 def mixture_of(n_directions: int) -> Float[np.ndarray, "1 k"]:

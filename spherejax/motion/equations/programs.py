@@ -114,8 +114,8 @@ class Program:
             disk_cache.note_warning()
             warnings.warn(
                 f"{function.__name__} runs as array code, which may be several times slower than a scalar program: "
-                f"{reason}. Write the law with elementwise operations, jnp.where, dot and cross to get the fast path, "
-                "or pass scalar=False to silence this.",
+                f"{reason}. Write the law with elementwise operations, jnp.where, dot, cross and tables (jnp.interp) "
+                "to get the fast path, or pass scalar=False to silence this.",
                 ArrayPathWarning,
                 stacklevel=2,
             )
