@@ -92,12 +92,14 @@ def by_other_integral(name, motion, alpha, suction, n=120):
 def test_load_and_couple_are_those_of_finer_integrals(name, boundary):
     film = FILMS[name]
     for seed, (eps, largest, tolerance) in enumerate(
-        ((0.0, 0.5, 1e-3), (0.3, 0.6, 2e-3), (0.7, 0.6, 1e-2), (0.8, 0.6, 1e-2), (0.9, 0.6, 3e-2))
+        ((0.0, 0.5, 1e-5), (0.3, 0.6, 3e-5), (0.7, 0.6, 1e-3), (0.8, 0.6, 1e-3), (0.9, 0.6, 5e-3))
     ):
         motion = moved(name, max(eps, 1e-9), seed)
         law = law_for(film, motion, boundary, largest)
         thin, thick = film.action(motion, gap(boundary)), film.action(motion, gap(boundary, law))
         force, couple = by_other_integral(name, motion, float(law.coefficient), boundary.bears_suction)
+        if name == "short" and boundary.bears_suction:  # nearly empty of pressure: six points along the axis
+            tolerance *= 10
         atol = tolerance * np.linalg.norm(force)
         np.testing.assert_allclose(thick.force, force, atol=atol)
         added = (thick.ball_moment - thick.socket_moment - thin.ball_moment + thin.socket_moment) / 2
@@ -120,7 +122,29 @@ def test_a_ball_that_moves_along_the_line_of_centers_meets_the_same_in_every_dir
     film, law = FILMS["ball"], law_for(FILMS["ball"], motion, GUEMBEL, 0.6)
     force, _ = by_other_integral("ball", motion, float(law.coefficient), suction=False)
     added = film.action(motion, gap(GUEMBEL, law)).force
-    np.testing.assert_allclose(added, force, atol=1e-2 * np.linalg.norm(force))
+    np.testing.assert_allclose(added, force, atol=1e-5 * np.linalg.norm(force))
+
+
+@pytest.mark.parametrize(("eps", "tolerance"), [(0.3, 5e-5), (0.6, 3e-4)])
+def test_derivatives_of_a_ball_are_those_of_finer_integrals(eps, tolerance):
+    """By place and velocity. Points are not differentiated, so derivatives are as right as the integral is."""
+    film, motion = FILMS["ball"], moved("ball", eps, seed=7)
+    law = law_for(film, motion, GUEMBEL, 0.6)
+
+    def force(numbers):
+        e, rate = numbers * jnp.array([[CLEARANCE], [0.03]])
+        return film.action(motion._replace(e=e, e_rate=rate), gap(GUEMBEL, law)).force
+
+    def fine(numbers):
+        e, rate = numbers * np.array([[CLEARANCE], [0.03]])
+        moved_on = motion._replace(e=e, e_rate=rate)
+        return by_other_integral("ball", moved_on, float(law.coefficient), suction=False)[0]
+
+    at = np.stack([motion.e / CLEARANCE, motion.e_rate / 0.03])
+    slopes = np.asarray(jax.jacfwd(force)(jnp.asarray(at)))
+    steps = 1e-4 * np.eye(6).reshape(6, 2, 3)
+    differences = np.stack([(fine(at + h) - fine(at - h)) / 2e-4 for h in steps], -1).reshape(3, 2, 3)
+    np.testing.assert_allclose(slopes, differences, atol=tolerance * np.abs(slopes).max())
 
 
 def test_the_pressure_obeys_reynolds_equation_with_its_own_viscosity():
@@ -409,4 +433,4 @@ def test_effects_say_what_thickening_costs_and_thin_oil_has_none_of_it(name, law
     last, before = thick[-1], thick[-2]
     assert last.effect == f"viscosity by pressure ({type(law).__name__})"
     assert last.n_states == before.n_states
-    assert 100 < last.n_operations - before.n_operations < 9000
+    assert 100 < last.n_operations - before.n_operations < 10000
