@@ -47,7 +47,8 @@ derivatives wrong by 3 % at an eccentricity ratio of 0.6."""
 
 CROWDED = 0.4
 """Width over which points crowd, as a share of the distance at which the gap vanishes off the real angles: 1 - alpha q
-vanishes nearer. With 1 a ball's load at an eccentricity ratio of 0.6 is wrong by 30 times as much, with 0.3 by 4 times."""
+vanishes nearer. With 1 a ball's load at an eccentricity ratio of 0.6 is wrong by 30 times as much, with 0.3 by four
+times."""
 
 
 class Excess(NamedTuple):
@@ -99,7 +100,8 @@ class BarusThickening(AbstractThickening):
         coefficient: alpha [1/Pa]; 1e-8 to 3e-8 for mineral oils.
 
     Limits: load and couple within 1e-3 up to alpha q = 0.6 at an eccentricity ratio of 0.8, 5e-3 at 0.9; in a short
-        bearing with suction within 1 and 5 %. Mineral oils follow it to some 100 MPa; beyond they thicken less (`RoelandsThickening`).
+        bearing with suction within 1 and 5 %. Mineral oils follow it to some 100 MPa; beyond they thicken less
+        (`RoelandsThickening`).
 
     Source: Barus (1893), Am. J. Sci. 45:87-96; the reduced pressure is Grubin's.
     """
