@@ -1,8 +1,5 @@
 """States inside an explicit step, from its stages; and the flags that the lanes' speed rests on."""
 
-import os
-import subprocess
-import sys
 from dataclasses import replace
 from functools import partial
 from importlib.metadata import version
@@ -110,28 +107,6 @@ def test_flags_of_the_user_are_kept():
     known = (0, 10) <= tuple(map(int, version("jaxlib").split(".")[:2])) <= (0, 12)
     assert ("ynn_fusion_type=" in hooks.with_xla_flags(mine)) == known
     assert hooks.with_xla_flags("--xla_cpu_experimental_ynn_fusion_type=reduce").count("ynn") == 1
-
-
-ARGUMENTS = """
-import spherejax, jax, jax.numpy as jnp
-x = jnp.arange(40.0)
-def body(i, y):
-    return x[jnp.argmax(x * jnp.sin(y))] * y + x[jnp.argmin(x * y)]
-print(jax.jit(lambda y: jax.lax.fori_loop(0, 5, body, y))(1.0))
-"""
-
-
-def test_a_user_goes_without_the_option_that_ends_processes():
-    """XLA (jaxlib 0.10) ends one that compiles a loop with `argmax` and `argmin`; whatever its value, it is set."""
-    option = "--xla_backend_extra_options=xla_cpu_use_multi_output_fusion"
-    flags = hooks.with_xla_flags(f"{option}=false")
-    assert "fusion=false" not in flags
-    assert f"{option}_not," in flags
-    assert hooks.with_xla_flags(flags) == flags
-    environment = os.environ | {"XLA_FLAGS": f"{option}=false"}
-    done = subprocess.run([sys.executable, "-c", ARGUMENTS], env=environment, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    assert np.isfinite(float(done.stdout))
 
 
 def test_a_block_of_which_few_may_run_looks_before_it_narrows():

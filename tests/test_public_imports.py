@@ -215,7 +215,7 @@ def test_the_command_sets_itself_up_when_it_has_read_its_arguments(start, tmp_pa
         "import atexit, os, sys\n"
         "@atexit.register\n"
         "def told():\n"
-        "    print(sys.modules['jax'].config.read('jax_enable_x64'), 'multi_output' in os.environ['XLA_FLAGS'])\n"
+        "    print(sys.modules['jax'].config.read('jax_enable_x64'), 'small_while_loop' in os.environ['XLA_FLAGS'])\n"
     )
     words = [sys.executable, *start, *(["list"] if start[0] == "-m" else [])]
     clean = {key: value for key, value in os.environ.items() if key not in ("XLA_FLAGS", "JAX_ENABLE_X64")}

@@ -23,7 +23,7 @@ from jax.core import ShapedArray
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
-from spherejax.compiler import private
+from spherejax.compiler import private, several_results
 from spherejax.compiler.autodiff import Forward, Transposed
 from spherejax.compiler.emit.llvm import can_be_written
 from spherejax.compiler.emit.stablehlo import Shape, Writer, sizes
@@ -465,6 +465,7 @@ def _lowered(context: Any, *arguments: Any, line: StraightLine, lanes: Shape, ax
 def _lowered_for_processor(
     context: Any, *arguments: Any, line: StraightLine, lanes: Shape, axes: tuple[int, ...]
 ) -> Sequence:
+    several_results.mark(context)
     # Small lines are faster within what XLA compiles around them than behind a call.
     if not is_called(line, lanes):
         return _lowered(context, *arguments, line=line, lanes=lanes, axes=axes)
@@ -503,5 +504,6 @@ _straight_line.def_abstract_eval(_shaped)
 batching.primitive_batchers[_straight_line] = _batched
 ad.primitive_jvps[_straight_line] = _differentiated
 ad.primitive_transposes[_straight_line] = _transposed
+several_results.attach()
 mlir.register_lowering(_straight_line, _lowered)
 mlir.register_lowering(_straight_line, _lowered_for_processor, platform="cpu")

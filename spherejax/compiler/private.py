@@ -83,6 +83,83 @@ function has an argument that nothing reads; `loop_fusion` leaves none."""
 ATTRIBUTES = "mhlo.frontend_attributes"
 """Name under which StableHLO hands such attributes on; with another name they are dropped."""
 
+COMPILING = "backend_compile_and_load", "backend_compile"
+"""Names of the function of `jax._src.compiler` that hands a program to XLA: the second one until JAX 0.6."""
+
+
+def wrap_compilation(wrapper: Callable[[Callable], Callable]) -> bool:
+    """Put a function around the one with which JAX hands a program to XLA.
+
+    Args:
+        wrapper: from that function to the one in its place. Once in its place it is left there.
+
+    Returns:
+        Whether JAX has such a function.
+    """
+    place = _compiling()
+    if place is None:
+        return False
+    compiler, name = place
+    function = getattr(compiler, name)
+    if not hasattr(function, _WRAPPED):
+        wrapped = wrapper(function)
+        setattr(wrapped, _WRAPPED, True)
+        setattr(compiler, name, wrapped)
+    return True
+
+
+_WRAPPED = "__spherejax_wraps__"
+
+
+def _compiling() -> tuple[Any, str] | None:
+    try:
+        from jax._src import compiler
+    except ImportError:
+        return None
+    return next(((compiler, name) for name in COMPILING if hasattr(compiler, name)), None)
+
+
+def with_backend_option(options: Any, name: str) -> Any:
+    """Options of one program and one more of those that XLA reads from `xla_backend_extra_options`.
+
+    JAX sets options of a program by name, but no list of them. They are a message of Protocol Buffers: two that are
+    written one behind the other are read as one, so the list is put behind.
+
+    Args:
+        options: a `CompileOptions` of jaxlib. Anything else is given back.
+        name: of the option.
+
+    Returns:
+        Another `CompileOptions`; the same one where jaxlib does not read what is written here.
+    """
+    if type(options).__name__ != "CompileOptions":
+        return options
+    item = _field(1, name.encode()) + _field(2, b"")
+    behind = item
+    for number in reversed(_PATH):
+        behind = _field(number, behind)
+    try:
+        return type(options).ParseFromString(options.SerializeAsString() + behind)
+    except (AttributeError, TypeError, ValueError, RuntimeError):
+        return options
+
+
+_PATH = 3, 3, 500
+"""Numbers of the fields from `CompileOptionsProto` to its `executable_build_options`, to their `debug_options`, to
+`xla_backend_extra_options` (`xla/pjrt/proto/compile_options.proto`, `xla/xla.proto`)."""
+
+
+def _field(number: int, content: bytes) -> bytes:
+    """A field whose content has a length, as Protocol Buffers write it."""
+    return _of_any_length(number << 3 | 2) + _of_any_length(len(content)) + content
+
+
+def _of_any_length(number: int) -> bytes:
+    """Seven bits of it in each byte, the lowest first; the eighth one says that more follow."""
+    more, rest = divmod(number, 128)
+    return bytes([rest]) if not more else bytes([rest | 128]) + _of_any_length(more)
+
+
 # The check ------------------------------------------------------------------------------------------------------------
 
 # `program_cache/private.py` has the same loop over parts of its own, and `is_jit_disabled` and `n_devices`, too. The
@@ -142,6 +219,14 @@ def _takes(options: Mapping[str, Any]) -> bool:
     return True
 
 
+def _takes_backend_option() -> bool:
+    from jaxlib import xla_client
+
+    return "xla_of_nobody" in repr(
+        with_backend_option(xla_client.CompileOptions(), "xla_of_nobody").SerializeAsString()
+    )
+
+
 def header() -> Path | None:
     """The header of the binary interface that jaxlib installs; None where it installs none."""
     package = importlib.util.find_spec("jaxlib")
@@ -160,6 +245,8 @@ def _is_interface_the_same() -> bool:
 
 
 _NO_MACHINE_CODE = "no machine code, with one warning: XLA compiles everything, and first calls take longer"
+
+_NO_OPTION_OF_ONE_PROGRAM = "kernels have one result each (several_results.py): what XLA compiles of a run is slower"
 
 PARTS: Sequence[PrivatePart] = (
     PrivatePart("a known version of jaxlib", _NO_MACHINE_CODE, _is_known_jaxlib),
@@ -196,6 +283,12 @@ PARTS: Sequence[PrivatePart] = (
         "programs are compiled without them, which takes a quarter longer for large ones",
         lambda: _takes(xla_flags.FAST_COMPILE),
     ),
+    PrivatePart(
+        "jax._src.compiler.backend_compile_and_load",
+        _NO_OPTION_OF_ONE_PROGRAM,
+        lambda: _compiling() is not None,
+    ),
+    PrivatePart("fields of jaxlib's CompileOptions", _NO_OPTION_OF_ONE_PROGRAM, _takes_backend_option),
     PrivatePart(
         "a jaxlib of which it is known whether it has " + xla_flags.LIBRARY,
         "the flag is not set: a kernel with a sum or a product of matrices may fail to compile",

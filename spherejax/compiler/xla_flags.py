@@ -13,20 +13,11 @@ from typing import Any
 BACKEND_OPTIONS = "--xla_backend_extra_options="
 """The one flag that takes the list of `LOOP_OPTIONS`: XLA reads one such list only."""
 
-LOOP_OPTIONS = (
-    "xla_cpu_small_while_loop_byte_threshold=1000000000",
-    "xla_cpu_use_multi_output_fusion",
-)
-"""The first one lets XLA compile a whole `while` loop (a whole integration) into one native function; by default it
-does so for tiny loops only. The second lets one fusion have several outputs. Together with scalar programs they make a
-right-hand side 15 to 30 times faster; neither helps code that calls LAPACK or multiplies matrices inside the loop.
-Names in this list that begin with "xla_" and that XLA does not know are passed over, and runs are slower.
-
-With the second one XLA (jaxlib 0.10) ends the process where it compiles a loop that has both `argmax` and `argmin`, in
-anybody's program. `WITHOUT_FUSION` leaves it out."""
-
-WITHOUT_FUSION = "xla_cpu_use_multi_output_fusion=false", "xla_cpu_use_multi_output_fusion_not"
-"""What a user writes to go without it, and what XLA is told then: it takes the option for set whatever its value."""
+LOOP_OPTIONS = ("xla_cpu_small_while_loop_byte_threshold=1000000000",)
+"""Lets XLA compile a whole `while` loop (a whole integration) into one native function; by default it does so for tiny
+loops only. Together with scalar programs it makes a right-hand side 15 to 30 times faster; it does not help code that
+calls LAPACK or multiplies matrices inside the loop. Names in this list that begin with "xla_" and that XLA does not
+know are passed over, and runs are slower."""
 
 VECTOR_WIDTH = "--xla_cpu_prefer_vector_width"
 """Lets the compiler use vectors of 512 bits where the processor has them (by default 256, even there), which takes a
@@ -53,7 +44,6 @@ def with_xla_flags(flags: str) -> str:
     Args:
         flags: the value that the process has.
     """
-    flags = flags.replace(*WITHOUT_FUSION)
     words = flags.split()
     # By name, whatever the value: what the user has set stays.
     if VECTOR_WIDTH not in flags:

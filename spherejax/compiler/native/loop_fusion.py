@@ -26,7 +26,7 @@ from jax.extend import core as jex
 from jax.extend.mlir import ir
 from jax.interpreters import batching, mlir
 
-from spherejax.compiler import private
+from spherejax.compiler import private, several_results
 from spherejax.compiler.array_operations import ARRAY_OPERATIONS
 from spherejax.compiler.emit.llvm_arrays import NotWrittenError
 from spherejax.compiler.native import compile as machine_code
@@ -473,6 +473,7 @@ def _lowered(context: Any, *values: Any, function: Callable, avals: tuple) -> Se
     if private.n_devices(context) > 1:
         # A native function cannot hold the collective operations that XLA's partitioner would put into it.
         return mlir.lower_fun(function, multiple_results=True)(context, *values)
+    several_results.mark(context)
     results = mlir.lower_fun(jax.jit(whole), multiple_results=True)(context, *values)
     (first, *_) = results
     call = first.owner
