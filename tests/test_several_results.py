@@ -72,7 +72,7 @@ def given(monkeypatch):
 def test_programs_with_a_scalar_program_have_the_option(given, beside, is_given):
     inner = scalarize(lambda y: jnp.stack([jnp.sin(y) * jnp.exp(y), jnp.cos(y) * jnp.exp(y)]), 1.0)
 
-    new = np.random.default_rng().random()  # a program that no cache has
+    new = np.random.default_rng().random() * 1e-3  # a program that no cache has
 
     def looped(y):
         return jax.lax.fori_loop(0, 5, lambda _, z: jnp.sum(inner(z)) * new + beside(z), y)
