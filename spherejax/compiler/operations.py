@@ -542,12 +542,15 @@ WRITTEN_OUT = 16
 def _lookup(index, *cases):
     if len(cases) <= WRITTEN_OUT:
         return lax.select_n(lax.convert_element_type(index, np.int32), *cases)
-    table = lax.concatenate([lax.expand_dims(case, [0]) for case in cases], 0)
+    return entry_of(index, lax.concatenate([lax.expand_dims(case, [0]) for case in cases], 0))
+
+
+def entry_of(index, table):
+    """The entry of a table, which all lanes of the index share, or of which each has its own, at a place inside."""
     if not index.shape:
         return lax.dynamic_index_in_dim(table, index, keepdims=False)
-    # Over lanes, each at its own place.
-    lanes = [lax.broadcasted_iota(np.int64, index.shape, axis) for axis in range(index.ndim)]
-    return table.at[(index, *lanes)].get(mode="promise_in_bounds")
+    own = [lax.broadcasted_iota(np.int64, index.shape, axis) for axis in range(table.ndim - 1)]
+    return table.at[(index, *own)].get(mode="promise_in_bounds")
 
 
 def _root_guarded_at_zero(a):

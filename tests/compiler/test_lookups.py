@@ -150,7 +150,10 @@ def natively(function: Callable, *arguments):
 
 def agrees(ours, right, rtol=1e-12) -> None:
     for a, b in zip(jax.tree.leaves(ours), jax.tree.leaves(right), strict=True):
-        np.testing.assert_allclose(a, b, rtol=rtol, atol=1e-13)
+        if np.asarray(b).dtype == float:
+            np.testing.assert_allclose(a, b, rtol=rtol, atol=1e-13)
+        else:
+            np.testing.assert_array_equal(a, b)
 
 
 @pytest.mark.parametrize("name", LAWS)
@@ -224,7 +227,7 @@ def edges():
         for side in ("left", "right"):
             for method in ("scan", "scan_unrolled", "compare_all", "sort"):
                 yield (
-                    f"searched, {side}, {method}, {kind}",
+                    f"searched by {method} and {side}, {kind}",
                     lambda x, a, side=side, method=method: jnp.searchsorted(a, x, side=side, method=method),
                     table,
                 )
@@ -236,7 +239,7 @@ def edges():
         yield f"sorted down, {kind}", lambda x, a: jnp.sort(jnp.append(x, a), descending=True), table
         yield f"order, {kind}", lambda x, a: jnp.argsort(jnp.append(a, x)), table
         yield f"order by two, {kind}", lambda x, a: jnp.lexsort((a, jnp.where(a > x, 1.0, 0.0))), table
-    for n in (1, 2, FEWEST_ENTRIES, WRITTEN_OUT + 1):
+    for n in (1, FEWEST_ENTRIES, WRITTEN_OUT + 1):
         table = np.linspace(1.0, 2.0, n)
         for mode in ("fill", "clip", "promise_in_bounds"):
             if mode == "promise_in_bounds":
@@ -310,23 +313,36 @@ def edges():
     yield "the sign of a whole number", lambda x, a: jnp.sign(place(x)) * jnp.abs(place(x, jnp.int32)), few
 
 
-EDGES = {name: (function, table) for name, function, table in edges()}
+def grouped():
+    """By table, and by what a place outside gives: a program of many functions takes a fraction of as many programs."""
+    groups: dict[str, tuple[list[Callable], np.ndarray]] = {}
+    for name, function, table in edges():
+        # XLA ends the process where one kernel is to have both an `argmax` and an `argmin` (jaxlib 0.10).
+        apart = "smallest, " if "argmin" in name else ""
+        groups.setdefault(apart + ", ".join(name.split(", ")[1:]) or name, ([], table))[0].append(function)
+    return groups
+
+
+EDGES = grouped()
 
 
 @pytest.mark.parametrize("name", EDGES)
 def test_what_a_table_gives_at_its_ends_is_what_jax_gives(name):
-    function, table = EDGES[name]
+    functions, table = EDGES[name]
     table = jnp.asarray(table)
-    right = np.stack([np.asarray(function(x, table)) for x in jnp.asarray(ANY)])
+
+    def function(x, table):
+        return [one(x, table) for one in functions]
+
+    right = jax.tree.map(np.asarray, jax.jit(jax.vmap(function, (0, None)))(ANY, table))
     program = scalarize(function, 0.0, table)
-    np.testing.assert_array_equal(np.stack([program.compute(x, table) for x in ANY]), right)
+    agrees(jax.tree.map(lambda *rows: np.stack(rows), *(program.compute(x, table) for x in ANY)), right, 1e-14)
     lanes = jax.vmap(program, (0, None))
-    np.testing.assert_array_equal(jax.jit(lanes)(ANY, table), right)
-    np.testing.assert_array_equal(natively(lanes, ANY, table), right)
+    agrees(jax.jit(lanes)(ANY, table), right, 1e-14)
+    agrees(natively(lanes, ANY, table), right, 1e-14)
     # A table that is known when the program is made.
     known = scalarize(lambda x: function(x, table), 0.0)
-    np.testing.assert_array_equal(np.stack([known.compute(x) for x in ANY]), right)
-    np.testing.assert_array_equal(natively(jax.vmap(known), ANY) if known.n_operations else right, right)
+    agrees(natively(jax.vmap(known), ANY), right, 1e-14)
 
 
 # Size -----------------------------------------------------------------------------------------------------------------

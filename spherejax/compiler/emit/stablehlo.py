@@ -1,6 +1,6 @@
 """Writes the operations of scalar programs in the compiler's language, StableHLO, lanes included."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -9,8 +9,9 @@ from jax.extend.mlir import ir
 from jax.extend.mlir.dialects import stablehlo
 from jax.interpreters import mlir
 
+from spherejax.compiler.emit.llvm_sums import beside
 from spherejax.compiler.graph import by_jax
-from spherejax.compiler.operations import BOOL, FLOAT, INT, OPERATIONS
+from spherejax.compiler.operations import BOOL, FLOAT, INT, OPERATIONS, WRITTEN_OUT, entry_of
 
 Shape = tuple[int, ...]
 
@@ -60,6 +61,8 @@ class Writer:
             return mlir.ir_constant(np.asarray(graph.value(node), graph.dtypes[node]))
         if operation == "input":
             return self._entry(*graph.parameters[node])
+        if operation == "lookup" and len(graph.arguments[node]) > WRITTEN_OUT + 1:
+            return self._looked_up(node)
         arguments = [self._over(self.spread[node], a) for a in graph.arguments[node]]
         write = OPERATIONS[operation].stablehlo
         return self._by_jax(node, operation, arguments) if write is None else write(*arguments)
@@ -70,9 +73,35 @@ class Writer:
         # For operations that StableHLO has no word for, as erf: JAX's own rule writes several of them.
         function = by_jax(operation, graph.parameters[node])
         avals = [ShapedArray(shape, graph.dtypes[a]) for a in graph.arguments[node]]
-        context = self.context.replace(avals_in=avals, avals_out=[ShapedArray(shape, graph.dtypes[node])])
+        return self._lowered(function, avals, ShapedArray(shape, graph.dtypes[node]), arguments)
+
+    def _lowered(self, function: Callable, avals: list, result_aval: ShapedArray, arguments: list) -> Any:
+        context = self.context.replace(avals_in=avals, avals_out=[result_aval])
         (result,) = mlir.lower_fun(function, multiple_results=False)(context, *arguments)
         return result
+
+    def _looked_up(self, node: int) -> Any:
+        """An entry of a table: of one array, where its entries are constants, or side by side in an argument."""
+        graph, (index, *cases), axes = self.graph, self.graph.arguments[node], self.spread[node]
+        dtype, lanes = graph.dtypes[node], sizes(self.lanes, axes)
+        own = [None if case in self.line.flat_residuals else graph.operations[case] for case in cases]
+        places = [graph.parameters[case] if what == "input" else None for case, what in zip(cases, own, strict=True)]
+        if all(what == "constant" for what in own):
+            table, over = mlir.ir_constant(np.array([graph.value(case) for case in cases], dtype)), 0
+        elif (place := beside(places)) is not None:
+            over = self.axes[place[0]]
+            table = self._rows(self.flat[place[0]], place[1], len(cases), over)
+        else:
+            one, over = ir.RankedTensorType.get((1, *lanes), self.elements[dtype]), axes
+            rows = [stablehlo.reshape(one, self._over(axes, case)) for case in cases]
+            table = stablehlo.concatenate(rows, mlir.i64_attr(0))
+        if over and over != axes:
+            among = [axis for axis in range(len(self.lanes)) if axes >> axis & 1]
+            dims = ir.DenseI64ArrayAttr.get([0, *(1 + at for at, axis in enumerate(among) if over >> axis & 1)])
+            wide = ir.RankedTensorType.get((len(cases), *lanes), self.elements[dtype])
+            table, over = stablehlo.broadcast_in_dim(wide, table, dims), axes
+        avals = [ShapedArray(lanes, INT), ShapedArray((len(cases), *sizes(self.lanes, over)), dtype)]
+        return self._lowered(entry_of, avals, ShapedArray(lanes, dtype), [self._over(axes, index), table])
 
     def _type(self, dtype: np.dtype, axes: int) -> Any:
         if (dtype, axes) not in self.types:
@@ -101,10 +130,14 @@ class Writer:
 
     def _row(self, array: Any, index: int, dtype: np.dtype, axes: int) -> Any:
         """One entry of a flat argument, with its lanes."""
+        return stablehlo.reshape(self._type(dtype, axes), self._rows(array, index, 1, axes))
+
+    def _rows(self, array: Any, index: int, n: int, axes: int) -> Any:
+        """Some entries of a flat argument that follow each other, with their lanes."""
         lanes = sizes(self.lanes, axes)
-        begin, end = [index, *(0 for _ in lanes)], [index + 1, *lanes]
+        begin, end = [index, *(0 for _ in lanes)], [index + n, *lanes]
         attributes = [ir.DenseI64ArrayAttr.get(numbers) for numbers in (begin, end, [1] * len(begin))]
-        return stablehlo.reshape(self._type(dtype, axes), stablehlo.slice(array, *attributes))
+        return stablehlo.slice(array, *attributes)
 
     def _output(self, output: np.ndarray, axes: int) -> Any:
         lanes, element = sizes(self.lanes, axes), self.elements[self.line.dtype(output)]
