@@ -9,6 +9,7 @@ import pytest
 import spherejax as sj
 from spherejax.foundations.rotation import rotation_matrix
 from spherejax.model.system import compile_scene
+from spherejax.motion.start.doubts import doubts_of
 from spherejax.motion.start.points_beside import points_beside
 from spherejax.motion.start.start_now import known_start
 
@@ -189,3 +190,31 @@ def test_runs_of_a_sweep_say_how_many_are_locked():
     expected = r"^1 of 2 runs that were looked at look like a mistake; of run 1: motor 'drive' acts on bodies"
     with pytest.warns(sj.errors.StartWarning, match=expected):
         sj.simulate_many(build, {"skew": np.array([0.0, 0.01])}, TS, rtol=1e-4)
+
+
+FILMS = {
+    "full": sj.laws.FullFilm(),
+    "radial": sj.laws.RadialFilm(),
+    "short": sj.laws.ShortBearing(0.01),
+    "long": sj.laws.LongBearing(0.04),
+}
+
+
+@pytest.mark.parametrize("name", FILMS)
+def test_a_films_damping_is_that_of_its_action(name):
+    axis = np.array([0.0, 0.0, 1.0]) if FILMS[name].is_of_bearing else None
+    still, rate = np.zeros(3), np.array([0.0, 0.02, 0.0])
+    motion = sj.laws.FilmMotion(still, rate, still, still, axis)
+    force = FILMS[name].action(motion, sj.laws.FilmGap(1e-4, 0.01, 0.4, 0.0, sj.Guembel())).force
+    assert -float(force[1]) / 0.02 == pytest.approx(FILMS[name].damping(1e-4, 0.01, 0.4), rel=1e-9)
+
+
+def test_a_film_whose_reaction_is_rounding_is_said():
+    def film(clearance):
+        scene = sj.gallery.four_bar(sj.Lubricated(clearance, 0.4))
+        return doubts_of(scene, compile_scene(scene).system)
+
+    assert film(1e-4) == film(1e-6) == ()
+    (said,) = film(1e-8)
+    assert "rounding of velocities" in said
+    assert "coupler_rocker" in said

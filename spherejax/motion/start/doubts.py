@@ -4,7 +4,11 @@ from spherejax.foundations.checks import is_concrete
 from spherejax.model.scene import Scene
 from spherejax.model.system import System
 from spherejax.motion.start.points_beside import points_beside
+from spherejax.motion.start.tolerances import ROUNDING, known_speed_and_force
 from spherejax.physics.joints.lubricated import Lubricated
+
+LARGEST_ROUNDING = 1e-3
+"""Of the forces that move the mechanism: above this share the rounding of velocities in a film's force is said."""
 
 
 def doubts_of(scene: Scene, system: System) -> tuple[str, ...]:
@@ -14,7 +18,7 @@ def doubts_of(scene: Scene, system: System) -> tuple[str, ...]:
         scene: the scene as it is described.
         system: the system compiled from it; what is traced is not looked at.
     """
-    return (*points_beside(scene, system), *_films_out_of_range(system))
+    return (*points_beside(scene, system), *_films_out_of_range(system), *_films_of_rounding(system))
 
 
 def _films_out_of_range(system: System) -> list[str]:
@@ -27,4 +31,27 @@ def _films_out_of_range(system: System) -> list[str]:
             film = model.film
             of_heat = "" if model.heat is None else model.heat.doubt(type(film).__name__, film.n_grooves)
             said += [f"joint {name!r}: {of_heat}."] if of_heat else []
+    return said
+
+
+def _films_of_rounding(system: System) -> list[str]:
+    """Films so thin that the difference of two velocities, which they answer with a force, has no digits left."""
+    said = []
+    for name, joint in system.joints.items():
+        model = getattr(joint, "model", None)
+        if not isinstance(model, Lubricated):
+            continue
+        numbers = model.clearance, model.socket_radius, model.viscosity
+        damping = model.film.damping(*numbers)
+        if damping is None or not is_concrete(damping) or (scales := known_speed_and_force(system)) is None:
+            continue
+        speed, force = scales
+        rounding = float(damping) * ROUNDING * speed
+        if rounding > LARGEST_ROUNDING * force:
+            said.append(
+                f"joint {name!r}: its film, {float(model.clearance):.3g} m thick, answers 1 m/s with "
+                f"{float(damping):.1e} N, so rounding of velocities alone is {rounding:.1e} N in its reaction, where "
+                f"this mechanism has forces of {force:.1e} N: places are right, the reaction is not. Take a larger "
+                "clearance, or an ideal joint, whose reaction is exact."
+            )
     return said

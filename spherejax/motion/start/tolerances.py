@@ -303,6 +303,14 @@ def energy_scale(system: System) -> Numeric:
     return sum(body.mass for body in system.bodies.values()) * speed * speed
 
 
+def known_speed_and_force(system: System) -> tuple[float, float] | None:
+    """V [m/s] and m V^2 / L [N]; None where a number that they are made of is traced. See `component_tolerances`."""
+    if not all(map(is_concrete, _measures(system))):
+        return None
+    length, speed, _ = _scales(system)
+    return float(speed), float(energy_scale(system) / length)
+
+
 def length_and_energy(structure: Structure, theta: Any) -> tuple[Numeric, Numeric]:
     """`length_scale` and `energy_scale` of a system that is taken apart: few operations, however many bodies it has."""
     at = _measured_at(structure)

@@ -12,6 +12,7 @@ Source: Ocvirk (1952), NACA TN 2808, and Sommerfeld (1904), for any motion as in
 87:537-546; the integrals are derived here and checked against quadrature (`tests/test_laws_bearings.py`).
 """
 
+import math
 from typing import Annotated, ClassVar
 
 import equinox as eqx
@@ -245,6 +246,10 @@ class ShortBearing(AbstractBearingFilm):
             "liner) with a hard liner, or sj.laws.LongBearing(length) from four radii on"
         )
 
+    def damping(self, clearance: Number, socket_radius: Number, viscosity: Number) -> Number:
+        """pi/2 nu R (L/c)**3."""
+        return 0.5 * math.pi * viscosity * socket_radius * (self.length / clearance) ** 3
+
     def _load(self, r, velocity, axis, gap):
         load = short_full_load(r, velocity) if gap.boundary.bears_suction else short_half_load(r, velocity, axis)
         return gap.socket_radius * (self.length / gap.clearance) ** 3 * load
@@ -283,6 +288,10 @@ class LongBearing(AbstractBearingFilm):
             f"{_too_much(float(self.length / socket_radius), LONG_FACTORS)}. Give film=sj.laws.LinedBearing(length, "
             "liner) with a hard liner, or sj.laws.ShortBearing(length) up to one radius"
         )
+
+    def damping(self, clearance: Number, socket_radius: Number, viscosity: Number) -> Number:
+        """6 pi nu L (R/c)**3."""
+        return 6.0 * math.pi * viscosity * self.length * (socket_radius / clearance) ** 3
 
     def _load(self, r, velocity, axis, gap):
         load = long_full_load(r, velocity) if gap.boundary.bears_suction else long_half_load(r, velocity, axis)

@@ -157,6 +157,11 @@ class AbstractFilm(AbstractLaw):
         del socket_radius
         return ""
 
+    def damping(self, clearance: Number, socket_radius: Number, viscosity: Number) -> Number | None:
+        """Force by velocity of a concentric ball without suction [N s/m]; None of a film that a liner makes softer."""
+        del clearance, socket_radius, viscosity
+        return None
+
     @abc.abstractmethod
     def action(self, motion: FilmMotion, gap: FilmGap) -> FilmAction:
         """Force and moments of the film."""
@@ -196,6 +201,10 @@ class RadialFilm(AbstractFilm):
     Source: Rodrigues da Silva et al. (2022), Eq. 37; see `film_force`.
     """
 
+    def damping(self, clearance: Number, socket_radius: Number, viscosity: Number) -> Number:
+        """2/3 C."""
+        return 2.0 / 3.0 * squeeze_coefficient(viscosity, socket_radius, clearance)
+
     def action(self, motion: FilmMotion, gap: FilmGap) -> FilmAction:
         """`film_force`, and no moments."""
         clearance, radius, viscosity, offset, boundary, _ = gap
@@ -230,6 +239,10 @@ class FullFilm(AbstractFilm):
     """
 
     thickens: ClassVar[bool] = True
+
+    def damping(self, clearance: Number, socket_radius: Number, viscosity: Number) -> Number:
+        """2/3 C."""
+        return 2.0 / 3.0 * squeeze_coefficient(viscosity, socket_radius, clearance)
 
     def action(self, motion: FilmMotion, gap: FilmGap) -> FilmAction:
         """Force, and moments that keep the angular momentum of the pair."""
