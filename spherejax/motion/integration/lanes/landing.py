@@ -319,7 +319,10 @@ class Landing:
         may_release = was_pressing & contacts.is_pressing(y, end) & ~is_event
         longest_last = self._longest_last(state, size, error)
         if self.has_rates_that_jump:
-            may_release = may_release.at[np.array(contacts.kinks)].set(False)  # a step ends short of these
+            # Steps end short of a kink. Towards that of a contact they get shorter as towards its release, which it is;
+            # towards a touch nothing asks them to.
+            touches = [kink for kink in contacts.kinks if kink >= contacts.n_contacts]
+            may_release = may_release.at[np.array(touches, int)].set(False)
         # Towards a release steps get shorter, as the root of the time that is left does. Behind it, and behind what was
         # taken for it, the time is straight again.
         by_root = jnp.minimum(factor, _time_behind(factor, self.time_warp(state, size)))
