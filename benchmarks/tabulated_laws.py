@@ -49,7 +49,8 @@ def bilinear(x, v, t, xs, vs, z):
     return (1 - b) * below + b * ((1 - a) * z[i, j + 1] + a * z[i + 1, j + 1])
 
 def selected(x, v, t, a):
-    return jnp.select([v < -0.3, v < 0.4], [a[0] * (v + 0.3) - 0.3 * a[1], a[1] * v], a[2] * (v - 0.4) + 0.4 * a[1])
+    # A drag: a push along the motion would turn the crank ever faster.
+    return -jnp.select([v < -0.3, v < 0.4], [a[0] * (v + 0.3) - 0.3 * a[1], a[1] * v], a[2] * (v - 0.4) + 0.4 * a[1])
 
 def switched(x, v, t, a):
     place = jnp.floor(2 * x).astype(jnp.int32) + 2
