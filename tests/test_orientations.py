@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import spherejax as sj
+from spherejax.physics.joints.body_axes import perpendicular
 
 
 def same(quaternion, rotation: Rotation):
@@ -82,3 +83,14 @@ def test_known_numbers_stay_known_and_traced_ones_have_derivatives():
 def test_what_is_no_orientation_says_what_to_write(form, message):
     with pytest.raises(sj.SceneError, match=message):
         sj.orientation(**form)
+
+
+@pytest.mark.parametrize("axis", [*np.eye(3), *-np.eye(3), (1.0, 1.0, 0.0), (0.0, -1.0, 1.0), (1.0, 1.0, 1.0)])
+@pytest.mark.parametrize("rounding", np.random.default_rng(3).normal(0.0, 1e-12, (4, 3)))
+def test_the_direction_across_an_axis_does_not_hang_on_its_rounding(axis, rounding):
+    """Grooves of a bearing and angles of a hinge without a second axis are counted from it."""
+    axis = np.asarray(axis)
+    across = perpendicular(axis)
+    np.testing.assert_allclose(perpendicular(axis + rounding), across, rtol=0, atol=1e-11)
+    np.testing.assert_allclose(perpendicular(jnp.asarray(axis + rounding)), across, rtol=0, atol=1e-11)
+    np.testing.assert_allclose([across @ axis, across @ across], [0.0, 1.0], rtol=0, atol=1e-15)

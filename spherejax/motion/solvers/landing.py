@@ -85,6 +85,11 @@ class ContactFunctions(NamedTuple):
         """Whether there are sensitivities, whose rates jump where a slope of the right-hand side does."""
         return self.first_row is not None and bool(self.kinks)
 
+    @property
+    def touches(self) -> tuple[int, ...]:
+        """Those of the kinks that are no contacts with a memory: stops, tyres and the like."""
+        return tuple(kink for kink in self.kinks if kink >= self.n_contacts)
+
     def may_kink(self, y: Float[Array, " ..."]) -> Bool[Array, "n_kinks *lanes"]:
         """Which of the kinks can come next: all touches, and those contacts that are in contact mode."""
         n, is_touching = self.n_contacts, self.is_touching(y)

@@ -134,13 +134,24 @@ def unit(vector):
 
 
 def perpendicular(axis):
-    """A unit vector perpendicular to `axis`, along the coordinate direction that is farthest from it."""
+    """A unit vector perpendicular to `axis` and to the coordinate direction that is farthest from it.
+
+    Of directions that are equally far, to a millionth, it is the first one in the order x, y, z: an axis along z that
+    has been computed, (1e-17, 0, 1), has the vector of (0, 0, 1). So the jumps, which there have to be, are a millionth
+    beside the axes and diagonals, and not at them.
+    """
     xp = np if is_concrete(axis) else jnp
     a = abs(axis)
+    equal = _EQUALLY_FAR * a.sum()
     # Nested choices instead of argmin: they work on traced values.
     x, y, z = xp.eye(3)
-    helper = xp.where((a[0] <= a[1]) & (a[0] <= a[2]), x, xp.where(a[1] <= a[2], y, z))
+    is_x = (a[0] <= a[1] + equal) & (a[0] <= a[2] + equal)
+    helper = xp.where(is_x, x, xp.where(a[1] <= a[2] + equal, y, z))
     return unit(cross(axis, helper))
+
+
+_EQUALLY_FAR = 1e-6
+"""Share of an axis by which two coordinates may differ and still count as equal."""
 
 
 def cross(a, b):

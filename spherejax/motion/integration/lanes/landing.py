@@ -321,8 +321,7 @@ class Landing:
         if self.has_rates_that_jump:
             # Steps end short of a kink. Towards that of a contact they get shorter as towards its release, which it is;
             # towards a touch nothing asks them to.
-            touches = [kink for kink in contacts.kinks if kink >= contacts.n_contacts]
-            may_release = may_release.at[np.array(touches, int)].set(False)
+            may_release = may_release.at[np.array(contacts.touches, int)].set(False)
         # Towards a release steps get shorter, as the root of the time that is left does. Behind it, and behind what was
         # taken for it, the time is straight again.
         by_root = jnp.minimum(factor, _time_behind(factor, self.time_warp(state, size)))
@@ -489,11 +488,13 @@ class Landing:
     def _until_release(self, state: Pace, end, size, following, may_release) -> Float[Array, " n_lanes"]:
         """The time [s] until just behind a release, as the motion of the last step has it; infinite without one ahead.
 
-        A kink is no root, and looked for in the following step alone.
+        A kink is no root, and looked for in the following step alone. Where rates are integrated that jump at it, their
+        contacts are those whose exponents are traced as well, and most of these do end with a root.
         """
         assert self.contacts is not None
         n_steps = np.full((may_release.shape[0], 1), _FORESIGHT)
-        n_steps[list(self.contacts.kinks)] = 1.0
+        are_no_roots = self.contacts.touches if self.has_rates_that_jump else self.contacts.kinks
+        n_steps[list(are_no_roots)] = 1.0
         reach = n_steps * following
         # A release is a crossing function that becomes negative.
         fractions = _fractions_ahead(state.start, end, size, reach, -1.0, LANDING_WINDOW)
