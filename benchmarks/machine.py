@@ -69,6 +69,12 @@ def _version(package: str) -> str:
         return "not installed"
 
 
+def read(name: str) -> list[dict[str, str]]:
+    """The rows of `results/NAME.csv`."""
+    with (RESULTS / f"{name}.csv").open(newline="") as stream:
+        return list(csv.DictReader(line for line in stream if not line.startswith("#")))
+
+
 def write(name: str, command: str, rows: Sequence[Mapping[str, object]], packages: Sequence[str] = ()) -> Path:
     """Write rows to `results/NAME.csv`, headed by comment lines with command, machine and versions; print them."""
     RESULTS.mkdir(exist_ok=True)

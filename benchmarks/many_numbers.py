@@ -2,6 +2,7 @@
 
     python benchmarks/many_numbers.py                # nine minutes
     python benchmarks/many_numbers.py --one-core     # five minutes: the networks, on one core
+    python benchmarks/many_numbers.py --only "dry four-bar, its scene"
 
 A network as a force on a body, 3 s, 31 samples, rtol 1e-7, by all of its weights, and along one direction in them, and
 the mean over eight starts by `jax.vmap` and its gradient, as a training takes them; the four-bar, dry and lubricated,
@@ -16,7 +17,7 @@ import os
 import subprocess
 import sys
 
-from machine import use_one_core, write
+from machine import read, use_one_core, write
 
 CODE = """
 import sys, time, equinox as eqx, jax, jax.numpy as jnp, spherejax as sj
@@ -137,13 +138,19 @@ ON_ONE_CORE = tuple(case for case in CASES if "in a force" in case)
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--one-core", action="store_true", help="networks in a force, on one core")
-    is_on_one_core = parser.parse_args().one_core
+    parser.add_argument("--only", metavar="CASE", choices=CASES, help="this case; the rows of the others stay")
+    arguments = parser.parse_args()
+    is_on_one_core = arguments.one_core
     name, command = "many_numbers", "python benchmarks/many_numbers.py"
     if is_on_one_core:  # the processes that are started inherit it
         use_one_core()
         name, command = "many_numbers_on_one_core", f"{command} --one-core"
+    cases = ON_ONE_CORE if is_on_one_core else CASES
     rows = []
-    for case in ON_ONE_CORE if is_on_one_core else CASES:
+    for case in cases:
+        if arguments.only not in (None, case):
+            rows += [row for row in read(name) if row["case"] == case]
+            continue
         # Of two processes the faster one: on several cores a value waits for a thread of XLA's, more or less long.
         of_value = min((measured(case, "value") for _ in range(2)), key=lambda measures: measures[-1])
         for way in ("value", "gradient", "direction", *MORE_WAYS.get(case, ())):

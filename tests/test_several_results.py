@@ -100,6 +100,17 @@ def test_an_option_is_added_to_those_that_a_program_has():
     assert private.with_backend_option("no options", "xla_one") == "no options"
 
 
+def test_options_that_jaxlib_does_not_read_stay_as_they_are(monkeypatch):
+    options = xla_client.CompileOptions()
+    monkeypatch.setattr(private, "_of_any_length", lambda number: b"\xff")
+    assert private.with_backend_option(options, "xla_one") is options
+
+
+def test_without_the_function_of_jax_nothing_is_wrapped(monkeypatch):
+    monkeypatch.setattr(private, "COMPILING", ("no_such_name",))
+    assert not private.wrap_compilation(lambda function: function)
+
+
 LOOP_OF_A_USER = """
 import spherejax, jax, jax.numpy as jnp
 from spherejax.compiler import scalarize

@@ -139,9 +139,11 @@ def with_backend_option(options: Any, name: str) -> Any:
     for number in reversed(_PATH):
         behind = _field(number, behind)
     try:
-        return type(options).ParseFromString(options.SerializeAsString() + behind)
+        more = type(options).ParseFromString(options.SerializeAsString() + behind)
     except (AttributeError, TypeError, ValueError, RuntimeError):
         return options
+    # Of a message that it cannot read jaxlib says nothing, and takes what it has read.
+    return more if name.encode() in more.SerializeAsString() else options
 
 
 _PATH = 3, 3, 500

@@ -78,6 +78,8 @@ MISSES = {
         jax._src.xla_bridge, "backends_are_initialized"
     ),
     "options of one program": lambda patch: patch.setattr(xla_flags, "FAST_COMPILE", {"xla_no_such_option": 0}),
+    "jax._src.compiler.backend_compile_and_load": lambda patch: patch.setattr(private, "COMPILING", ("no_such_name",)),
+    "fields of jaxlib's CompileOptions": lambda patch: patch.setattr(private, "_of_any_length", lambda number: b"\xff"),
     "a jaxlib of which it is known": lambda patch: patch.setattr(xla_flags, "JAXLIB_WITH_LIBRARY", NO_JAXLIB),
 }
 """By the beginning of the name of a part: an installation that lacks it."""
