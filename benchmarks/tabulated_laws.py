@@ -1,6 +1,6 @@
 """Laws that look something up: a run by scalar programs, and on array code.
 
-    python benchmarks/tabulated_laws.py                  # six minutes
+    python benchmarks/tabulated_laws.py                  # five minutes
     python benchmarks/tabulated_laws.py --only "a map" --gradients
 
 The ideal four-bar, 20 s, 31 samples, rtol 1e-6, with a force on its rocker that is read from a table, or chosen; the

@@ -111,6 +111,16 @@ def test_without_the_function_of_jax_nothing_is_wrapped(monkeypatch):
     assert not private.wrap_compilation(lambda function: function)
 
 
+def test_a_program_of_a_form_that_is_not_known_goes_without(monkeypatch):
+    def unknown(module):
+        raise KeyError("main")
+
+    module = jax.jit(scalarize(lambda y: jnp.stack([jnp.sin(y), jnp.cos(y)]), 1.0)).lower(1.0).compiler_ir("stablehlo")
+    assert several_results._needs(module)
+    monkeypatch.setattr(several_results, "_n_reductions_of_pairs", unknown)
+    assert not several_results._needs(module)
+
+
 LOOP_OF_A_USER = """
 import spherejax, jax, jax.numpy as jnp
 from spherejax.compiler import scalarize

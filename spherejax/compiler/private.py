@@ -84,7 +84,7 @@ ATTRIBUTES = "mhlo.frontend_attributes"
 """Name under which StableHLO hands such attributes on; with another name they are dropped."""
 
 COMPILING = "backend_compile_and_load", "backend_compile"
-"""Names of the function of `jax._src.compiler` that hands a program to XLA: the second one until JAX 0.6."""
+"""Names of the function of `jax._src.compiler` that hands a program to XLA: the second one in JAX 0.6."""
 
 
 def wrap_compilation(wrapper: Callable[[Callable], Callable]) -> bool:
@@ -134,8 +134,7 @@ def with_backend_option(options: Any, name: str) -> Any:
     """
     if type(options).__name__ != "CompileOptions":
         return options
-    item = _field(1, name.encode()) + _field(2, b"")
-    behind = item
+    behind = _field(1, name.encode()) + _field(2, b"")  # an entry of a map: the name, and no value
     for number in reversed(_PATH):
         behind = _field(number, behind)
     try:
@@ -224,9 +223,8 @@ def _takes(options: Mapping[str, Any]) -> bool:
 def _takes_backend_option() -> bool:
     from jaxlib import xla_client
 
-    return "xla_of_nobody" in repr(
-        with_backend_option(xla_client.CompileOptions(), "xla_of_nobody").SerializeAsString()
-    )
+    options = xla_client.CompileOptions()
+    return with_backend_option(options, "xla_of_nobody") is not options
 
 
 def header() -> Path | None:

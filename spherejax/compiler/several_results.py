@@ -43,19 +43,24 @@ def _frontend(attributes: Any) -> dict[str, ir.Attribute]:
 def _needs(module: Any) -> bool:
     """Whether a program is marked, and XLA surely survives the option."""
     with module.context:
-        return _MARK in _frontend(module.operation.attributes) and _n_reductions_of_pairs(module) <= 1
+        if _MARK not in _frontend(module.operation.attributes):
+            return False
+        try:
+            return _n_reductions_of_pairs(module) <= 1
+        except (AttributeError, KeyError, TypeError, ValueError):  # a form of programs that we do not know
+            return False
 
 
 def _n_reductions_of_pairs(module: Any) -> int:
     """How many there are, at most, in what may become one piece of a program for XLA.
 
-    It puts functions in the place of their calls, and what a loop does in its place where it does that once; of
-    branches at most one.
+    It puts functions in the place of their calls, the body of a loop in the place of a loop of one turn, and one branch
+    in the place of a choice that is known.
     """
     functions = {ir.StringAttr(f.attributes["sym_name"]).value: f.operation for f in module.body.operations}
 
     @cache
-    def of_function(name: str) -> int:  # none calls itself
+    def of_function(name: str) -> int:  # no function calls itself
         return sum(map(of_region, functions[name].regions))
 
     def of_region(region: Any) -> int:

@@ -319,8 +319,8 @@ class Landing:
         may_release = was_pressing & contacts.is_pressing(y, end) & ~is_event
         longest_last = self._longest_last(state, size, error)
         if self.has_rates_that_jump:
-            # Steps end short of a kink. Towards that of a contact they get shorter as towards its release, which it is;
-            # towards a touch nothing asks them to.
+            # The kink of a contact is its release, and steps towards it are made in bent time as towards any release.
+            # Towards a touch they are not: it only has to end them.
             may_release = may_release.at[np.array(contacts.touches, int)].set(False)
         # Towards a release steps get shorter, as the root of the time that is left does. Behind it, and behind what was
         # taken for it, the time is straight again.
@@ -488,8 +488,9 @@ class Landing:
     def _until_release(self, state: Pace, end, size, following, may_release) -> Float[Array, " n_lanes"]:
         """The time [s] until just behind a release, as the motion of the last step has it; infinite without one ahead.
 
-        A kink is no root, and looked for in the following step alone. Where rates are integrated that jump at it, their
-        contacts are those whose exponents are traced as well, and most of these do end with a root.
+        Towards a kink the motion does not change as a root does, and it is looked for in the following step alone. In a
+        run with sensitivities, contacts whose exponent is traced count as kinks. Most of them do end as a root, and are
+        looked for as early as the others.
         """
         assert self.contacts is not None
         n_steps = np.full((may_release.shape[0], 1), _FORESIGHT)
